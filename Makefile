@@ -1,0 +1,52 @@
+# `make` lists what there is. Everything runs inside .venv, which is made here and renewed when its inputs change.
+
+PYTHON ?= python3
+VENV := .venv
+READY := $(VENV)/.ready
+
+# Config overrides for the recipe: make train ARGS="scenario=geant preset=paper".
+ARGS ?=
+# Where the run goes: run_dir=... among ARGS, otherwise runs/dqn.
+RUN := $(or $(patsubst run_dir=%,%,$(filter run_dir=%,$(ARGS))),runs/dqn)
+TRAIN_ARGS := run_dir=$(RUN) $(filter-out run_dir=%,$(ARGS))
+# The comparison is made on the network that was trained on, so it gets the scenario's overrides and no others.
+EVALUATE_ARGS := method=[random,random_feasible,greedy,checkpoint] checkpoint=$(RUN)/best.pt seeds=10 \
+	output=$(RUN)/evaluation $(filter scenario=% scenario.%,$(ARGS))
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help setup train test lint tensorboard
+
+help:  ## Show this list
+	@sed -nE 's/^([a-z]+):.*## (.*)$$/  make \1|\2/p' $(firstword $(MAKEFILE_LIST)) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
+	@echo
+	@echo 'Config overrides go in ARGS:  make train ARGS="scenario=geant run_dir=runs/geant"'
+
+setup: $(READY)  ## Make .venv with the pinned packages (the other targets do it when needed)
+
+train: $(READY)  ## Train a DQN on the default network, then compare it with the baselines
+	$(VENV)/bin/python recipes/dqn.py $(foreach arg,$(TRAIN_ARGS),'$(arg)')
+	$(VENV)/bin/python recipes/evaluate.py $(foreach arg,$(EVALUATE_ARGS),'$(arg)')
+	@echo
+	@echo 'Curves:      $(VENV)/bin/tensorboard --logdir $(RUN)'
+	@echo 'Checkpoint:  $(RUN)/best.pt'
+	@echo 'Evaluation:  $(RUN)/evaluation'
+
+test: $(READY)  ## Run the tests (ARGS go to pytest)
+	$(VENV)/bin/python -m pytest $(ARGS)
+
+lint: $(READY)  ## Check style with ruff and types with mypy
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/mypy
+
+tensorboard: $(READY)  ## Show the curves of all runs
+	$(VENV)/bin/tensorboard --logdir runs
+
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo 'nfv_torchrl needs Python 3.11 or newer, and "$(PYTHON)" is not: set one, as in  make PYTHON=python3.12'; \
+		exit 1; }
+	@echo 'Setting up $(VENV) (minutes the first time)'
+	@$(PYTHON) -m venv $(VENV)
+	@$(VENV)/bin/python -m pip install --quiet -c constraints.txt -e '.[dev]'
+	@touch $@

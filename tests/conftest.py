@@ -1,0 +1,16 @@
+"""Settings that make every test run repeatable: one torch thread, and Hypothesis without deadlines."""
+
+import os
+
+import torch
+from hypothesis import HealthCheck, settings
+
+# One thread: sums are added in one order, and two cores are not shared by more workers than they can carry.
+torch.set_num_threads(1)
+
+# The first example of a test compiles kernels, so no deadline and no complaint about a slow start.
+_common = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow], "print_blob": True}
+settings.register_profile("local", max_examples=30, **_common)
+settings.register_profile("ci", max_examples=30, derandomize=True, **_common)
+settings.register_profile("thorough", max_examples=1000, **_common)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci" if os.environ.get("CI") else "local"))
