@@ -58,6 +58,9 @@ class Tables(NamedTuple):
     hop_delay: np.ndarray  # float64 [S, K, L], ms: propagation + transmission
     delay_to: np.ndarray  # float64 [S, K, N, N], ms: least sum of hop delays, capacities ignored
     link_cost_to: np.ndarray  # float64 [S, N, N], $ per Mbit/s: least sum of link unit costs
+    vm_total: np.ndarray  # int64 [S], all VM capacity
+    link_total: np.ndarray  # int64 [S], all link capacity
+    mean_vm_cost: np.ndarray  # float64 [S], mean unit cost over the VMs
 
 
 def build_tables(substrates: Sequence[Substrate], catalogue: ServiceCatalogue) -> Tables:
@@ -73,7 +76,7 @@ def build_tables(substrates: Sequence[Substrate], catalogue: ServiceCatalogue) -
     vms = max(s.vm_capacity.shape[1] for s in substrates)
     links = max(s.num_links for s in substrates)
     degrees = max(int(np.bincount(s.links.ravel(), minlength=s.num_nodes).max()) for s in substrates)
-    services, functions = catalogue.load.shape
+    services = len(catalogue.rate)
     tables = Tables(
         num_nodes=np.array([s.num_nodes for s in substrates]),
         num_links=np.array([s.num_links for s in substrates]),
@@ -96,8 +99,10 @@ def build_tables(substrates: Sequence[Substrate], catalogue: ServiceCatalogue) -
         hop_delay=np.zeros((count, services, links)),
         delay_to=np.full((count, services, nodes, nodes), np.inf),
         link_cost_to=np.full((count, nodes, nodes), np.inf),
+        vm_total=np.zeros(count, np.int64),
+        link_total=np.zeros(count, np.int64),
+        mean_vm_cost=np.zeros(count),
     )
-    assert functions >= 1
     for row, substrate in enumerate(substrates):
         _fill_row(tables, row, substrate)
     return tables
@@ -114,6 +119,9 @@ def _fill_row(tables: Tables, row: int, substrate: Substrate) -> None:
     tables.link_ends[row, :links] = substrate.links
     tables.link_capacity[row, :links] = to_ledger(substrate.link_capacity)
     tables.link_unit_cost[row, :links] = substrate.link_unit_cost
+    tables.vm_total[row] = tables.vm_capacity[row].sum()
+    tables.link_total[row] = tables.link_capacity[row].sum()
+    tables.mean_vm_cost[row] = substrate.vm_unit_cost[exists].mean()
     _fill_neighbours(tables, row, substrate)
     for service, rate in enumerate(tables.rate):
         hop = substrate.link_delay + 1000.0 * rate / substrate.link_capacity

@@ -1,0 +1,232 @@
+"""The simulator: B independent networks, stepped together by the compiled kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.failures import FailureTimeline
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.workload import Workload
+from nfv_torchrl.simulator import kernels
+from nfv_torchrl.simulator.state import OUTCOME, World, grow_pools, new_arrivals, new_log, new_world, widen
+from nfv_torchrl.simulator.tables import Rules, Tables, build_tables
+
+
+def scenario_rules(scenario: Scenario) -> Rules:
+    """The step rules that ``scenario`` asks for."""
+    return Rules(
+        colocation=scenario.colocation,
+        feasible_mask=scenario.mask == "feasible",
+        admission_control=scenario.admission_control,
+        max_steps=scenario.max_steps,
+    )
+
+
+class Simulator:
+    """B networks that serve their own requests, one request at a time and one step of its walk at a time.
+
+    Args:
+        scenarios: one scenario, or several that share services, horizon and rules but not the substrate.
+        batch_size: B. Environment b lives in ``scenarios[b % len(scenarios)]``.
+        one_hot: append one-hot request features to the flat observation.
+        record: keep every answer (``world.log``), for decision files.
+        threads: threads that split the batch; results do not depend on it.
+
+    Attributes:
+        world: all arrays (see ``simulator/state.py``). ``world.outcome`` float64 [B, len(OUTCOME)] says what the last
+            step brought, ``world.view`` what a controller sees now.
+
+    Raises:
+        ScenarioError: the scenarios do not fit together.
+    """
+
+    def __init__(
+        self,
+        scenarios: Scenario | Sequence[Scenario],
+        batch_size: int,
+        *,
+        one_hot: bool = False,
+        record: bool = False,
+        threads: int = 1,
+    ) -> None:
+        self.scenarios = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
+        if batch_size < 1:
+            raise ScenarioError(f"batch_size is {batch_size}; a simulator needs at least one environment")
+        self._check_together()
+        self.batch_size = batch_size
+        self.threads = max(1, min(threads, batch_size))
+        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
+        first = self.scenarios[0]
+        net = np.arange(batch_size) % len(self.scenarios)
+        tables = build_tables([s.substrate for s in self.scenarios], first.catalogue)
+        self.world: World = new_world(
+            tables, scenario_rules(first), net, first.horizon, first.warmup, one_hot, record
+        )
+        self._service_shares = [_service_shares(scenario) for scenario in self.scenarios]
+        self.world.env["done"] = 1
+        self._grow_until_roomy()
+
+    def _check_together(self) -> None:
+        if not self.scenarios:
+            raise ScenarioError("a simulator needs at least one scenario; none was given")
+        first = self.scenarios[0]
+        for other in self.scenarios[1:]:
+            for name in ("horizon", "warmup", "catalogue"):
+                if getattr(other, name) != getattr(first, name):
+                    raise ScenarioError(f"scenarios of one batch must share {name}; {other.name} differs")
+            if scenario_rules(other) != scenario_rules(first):
+                raise ScenarioError(f"scenarios of one batch must share the rules of a step; {other.name} differs")
+
+    @property
+    def tables(self) -> Tables:
+        """Substrates and services as padded arrays."""
+        return self.world.tables
+
+    @property
+    def num_actions(self) -> int:
+        """Actions with ``reject``, the last one: 2 N V + 1."""
+        return self.world.view.mask.shape[1]
+
+    @property
+    def outcome(self) -> dict[str, np.ndarray]:
+        """The columns of ``world.outcome`` by name, views float64 [B]."""
+        return {name: self.world.outcome[:, column] for column, name in enumerate(OUTCOME)}
+
+    def scenario(self, b: int) -> Scenario:
+        """The scenario of environment b."""
+        return self.scenarios[b % len(self.scenarios)]
+
+    def start(
+        self, b: int, workload: Workload, timeline: FailureTimeline | None = None, *, start_slot: int = 0
+    ) -> None:
+        """Begin the horizon of environment b on an empty network.
+
+        Args:
+            workload: its requests; none at all is an horizon that is over at once.
+            timeline: failures and repairs, none by default.
+            start_slot: play a quick compiled rule until this slot first, so that the network is loaded.
+        """
+        self._write_arrivals(b, workload, timeline)
+        kernels.start_env(self.world, b)
+        while not kernels.forward_env(self.world, b, start_slot):
+            self.world = grow_pools(self.world)
+        self.world.outcome[b] = 0.0
+
+    def step(self, actions: np.ndarray) -> None:
+        """One step of every environment with ``actions`` int64 [B]; an environment past its horizon stays there."""
+        if self._pool is None:
+            room = kernels.step_range(self.world, actions, 0, self.batch_size)
+        else:
+            bounds = np.linspace(0, self.batch_size, self.threads + 1).astype(int).tolist()
+            waiting = [
+                self._pool.submit(kernels.step_range, self.world, actions, first, last)
+                for first, last in zip(bounds[1:-1], bounds[2:], strict=True)
+            ]
+            rooms = [kernels.step_range(self.world, actions, bounds[0], bounds[1])]
+            rooms += [future.result() for future in waiting]
+            room = tuple(min(values) for values in zip(*rooms, strict=True))
+        self._make_room(*room)
+
+    def _make_room(self, records: int, entries: int, places: int) -> None:
+        """Enlarge what the next step could fill: it may end one walk, of at most J steps and 2 J reservations."""
+        if records < 1 or entries < 2 * self.world.rules.max_steps:
+            self.world = grow_pools(self.world)
+        if self.world.log.enabled and places < self.world.rules.max_steps:
+            log = self.world.log
+            self.world = self.world._replace(log=log._replace(action=widen(log.action, 2 * log.action.shape[1])))
+
+    def _grow_until_roomy(self) -> None:
+        while self.world.running.entry_next.shape[1] < 4 * self.world.rules.max_steps:
+            self.world = grow_pools(self.world)
+
+    def _write_arrivals(self, b: int, workload: Workload, timeline: FailureTimeline | None) -> None:
+        requests = len(workload.slot)
+        events = 0 if timeline is None else len(timeline.slot)
+        self._widen_arrivals(requests, events)
+        arrivals, env = self.world.arrivals, self.world.env
+        arrivals.slot[b, :requests] = workload.slot
+        arrivals.service[b, :requests] = workload.service
+        arrivals.ingress[b, :requests] = workload.ingress
+        arrivals.egress[b, :requests] = workload.egress
+        arrivals.lifetime[b, :requests] = workload.lifetime
+        # Departures past the horizon are all alike; clipping keeps them within int32.
+        arrivals.departure[b, :requests] = np.minimum(workload.departure, self.world.env["horizon"][b])
+        shares = self._service_shares[b % len(self.scenarios)]
+        arrivals.service_share[b, :requests] = shares[workload.service, workload.ingress, workload.egress]
+        env["num_requests"][b], env["num_events"][b] = requests, events
+        if timeline is not None:
+            arrivals.event_slot[b, :events] = timeline.slot
+            arrivals.event_resource[b, :events] = self._padded_resource(b, timeline.resource)
+            arrivals.event_up[b, :events] = timeline.up
+
+    def _padded_resource(self, b: int, resource: np.ndarray) -> np.ndarray:
+        """Resource indices of a scenario's own sizes as indices of the batch's padded sizes."""
+        own_nodes, own_vms = self.scenario(b).substrate.vm_capacity.shape
+        _, nodes, vms = self.world.ledger.vm_offered.shape
+        is_link = resource >= own_nodes * own_vms
+        as_vm = resource // own_vms * vms + resource % own_vms
+        return np.where(is_link, nodes * vms + resource - own_nodes * own_vms, as_vm)
+
+    def _widen_arrivals(self, requests: int, events: int) -> None:
+        arrivals = self.world.arrivals
+        have = arrivals.slot.shape[1]
+        if requests > have:
+            # A little more than asked: other horizons of the same workload differ by some requests.
+            requests += requests // 16
+            arrivals = type(arrivals)(
+                **{
+                    name: array if name.startswith("event_") else widen(array, requests)
+                    for name, array in arrivals._asdict().items()
+                }
+            )
+            if self.world.log.enabled:
+                self.world = self.world._replace(log=_wider_log(self.world.log, self.batch_size, requests))
+        if events > arrivals.event_slot.shape[1]:
+            wide = new_arrivals(self.batch_size, 1, 2 * events)
+            for name in ("event_slot", "event_resource", "event_up"):
+                have_events = getattr(arrivals, name)
+                getattr(wide, name)[:, : have_events.shape[1]] = have_events
+            arrivals = arrivals._replace(
+                event_slot=wide.event_slot, event_resource=wide.event_resource, event_up=wide.event_up
+            )
+        self.world = self.world._replace(arrivals=arrivals)
+
+    def memory_bytes(self) -> int:
+        """Bytes of all arrays that grow with B."""
+        groups: Iterable = (self.world.ledger, self.world.arrivals, self.world.running, self.world.walk)
+        arrays = [array for group in groups for array in group]
+        arrays += [self.world.view.mask, self.world.view.valid, self.world.view.flat, self.world.outcome]
+        return sum(array.nbytes for array in arrays)
+
+
+def _wider_log(log, batch: int, requests: int):
+    """A decision log for ``requests`` requests that keeps what ``log`` holds."""
+    wide = new_log(batch, requests, True)
+    columns = log.reason.shape[1]
+    for name in ("reason", "delay", "cost", "hops", "interrupted_at"):
+        getattr(wide, name)[:, :columns] = getattr(log, name)
+    wide.start[:, : columns + 1] = log.start
+    return wide._replace(action=widen(log.action, wide.action.shape[1]))
+
+
+def _service_shares(scenario: Scenario) -> np.ndarray:
+    """Service index scaled to [0, 1] by (type, ingress, egress), float32 [K, N, N].
+
+    With catalogue endpoints a service is a (type, pair); a request on a pair that is not in the catalogue reads 1, like
+    the last service. With uniform endpoints a service is a type.
+    """
+    types, nodes = len(scenario.catalogue.types), scenario.substrate.num_nodes
+    if scenario.endpoint_pairs is None:
+        shares = np.arange(types) / max(types - 1, 1)
+        return np.broadcast_to(shares[:, None, None], (types, nodes, nodes)).astype(np.float32)
+    pairs = scenario.endpoint_pairs
+    table = np.ones((types, nodes, nodes), np.float32)
+    index = np.arange(pairs.shape[0] * pairs.shape[1]).reshape(pairs.shape[:2])
+    for service in range(types):
+        ingress, egress = pairs[service].T
+        table[service, ingress, egress] = index[service] / max(index.size - 1, 1)
+    return table

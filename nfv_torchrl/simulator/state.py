@@ -1,0 +1,302 @@
+"""What changes while the simulator runs: arrays of B networks, updated in place by the compiled kernels.
+
+Scalars of an environment sit together in one record (``ENV_DTYPE``), so that a step touches one cache line of them;
+everything else is grouped by purpose into small named tuples. Nothing here is allocated while stepping, but for the
+pools of running requests, which double when they run low (``grow_pools``).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nfv_torchrl.simulator.tables import Rules, Tables
+
+ENV_DTYPE = np.dtype(
+    [
+        ("net", "i8"),  # row of the tables
+        ("slot", "i8"),  # current slot t
+        ("horizon", "i8"),  # T
+        ("warmup", "i8"),  # first slot that counts in slot statistics
+        ("cursor", "i8"),  # request being handled
+        ("num_requests", "i8"),
+        ("event_cursor", "i8"),  # next failure or repair
+        ("num_events", "i8"),
+        ("node", "i8"),  # the walk: current node, VM, functions placed, steps, links used
+        ("last_vm", "i8"),
+        ("function", "i8"),
+        ("steps", "i8"),
+        ("hops", "i8"),
+        ("elapsed", "f8"),  # ms
+        ("cost", "f8"),  # $
+        ("entries", "i8"),  # reservations of this walk
+        ("mask_count", "i8"),  # valid actions
+        ("running_cost", "f8"),  # $, sum of phi over running requests
+        ("num_running", "i8"),
+        ("vm_used", "i8"),  # ledger units reserved over all VMs, over all links
+        ("link_used", "i8"),
+        ("free_record", "i8"),  # heads of the free lists, and how many are left
+        ("free_records", "i8"),
+        ("free_entry", "i8"),
+        ("free_entries", "i8"),
+        ("log_length", "i8"),  # actions logged
+        ("done", "i8"),
+        ("hot_service", "i8"),  # one-hot positions now set in the flat observation, -1 for none
+        ("hot_node", "i8"),
+        ("hot_egress", "i8"),
+        ("hot_function", "i8"),
+    ]
+)
+
+
+class Ledger(NamedTuple):
+    """Books of every resource in ledger units; reserved + offered = capacity unless the resource has failed."""
+
+    vm_reserved: np.ndarray  # int64 [B, N, V]
+    vm_offered: np.ndarray  # int64 [B, N, V], 0 while failed
+    vm_failed: np.ndarray  # bool [B, N, V]
+    link_reserved: np.ndarray  # int64 [B, L]
+    link_offered: np.ndarray  # int64 [B, L], 0 while failed
+    link_failed: np.ndarray  # bool [B, L]
+
+
+class Arrivals(NamedTuple):
+    """Requests in arrival order and failure events in the order applied; rows beyond an env's own count are unused."""
+
+    slot: np.ndarray  # int32 [B, R]
+    service: np.ndarray  # int16 [B, R]
+    ingress: np.ndarray  # int16 [B, R]
+    egress: np.ndarray  # int16 [B, R]
+    departure: np.ndarray  # int32 [B, R]
+    lifetime: np.ndarray  # float32 [B, R], s
+    service_share: np.ndarray  # float32 [B, R], index among the K services scaled to [0, 1]
+    event_slot: np.ndarray  # int32 [B, E]
+    event_resource: np.ndarray  # int32 [B, E]
+    event_up: np.ndarray  # bool [B, E]
+
+
+class Running(NamedTuple):
+    """Accepted requests that still run: one record each, chained per departure slot, with a chain of reservations."""
+
+    head: np.ndarray  # int32 [B, T + 1], first record departing in a slot (the last: after the horizon), -1 for none
+    record_next: np.ndarray  # int32 [B, records]
+    record_entry: np.ndarray  # int32 [B, records]
+    record_request: np.ndarray  # int32 [B, records]
+    record_cost: np.ndarray  # float64 [B, records]
+    entry_next: np.ndarray  # int32 [B, entries]
+    entry_resource: np.ndarray  # int32 [B, entries]; VM: n * V + v, link: N * V + l
+    entry_amount: np.ndarray  # int64 [B, entries]
+
+
+class Walk(NamedTuple):
+    """Steps and reservations of the walk in progress."""
+
+    action: np.ndarray  # int32 [B, J]
+    resource: np.ndarray  # int32 [B, 2 J]
+    amount: np.ndarray  # int64 [B, 2 J]
+
+
+class View(NamedTuple):
+    """What a controller sees, kept up to date step by step."""
+
+    mask: np.ndarray  # bool [B, A + 1]
+    valid: np.ndarray  # int32 [B, A + 1], the valid actions, first ``mask_count`` entries
+    flat: np.ndarray  # float32 [B, P]
+    one_hot: bool  # whether ``flat`` ends with one-hot service type, node, egress and function index
+
+
+class Log(NamedTuple):
+    """Answer to every request, kept only when decisions are recorded (else the arrays have one column)."""
+
+    enabled: bool
+    reason: np.ndarray  # int8 [B, R], -1 accepted
+    delay: np.ndarray  # float64 [B, R]
+    cost: np.ndarray  # float64 [B, R]
+    hops: np.ndarray  # int32 [B, R]
+    interrupted_at: np.ndarray  # int32 [B, R], -1 if it was not
+    start: np.ndarray  # int64 [B, R + 1], where a request's actions begin in ``action``
+    action: np.ndarray  # int32 [B, log]
+
+
+class World(NamedTuple):
+    """Everything a kernel may touch."""
+
+    tables: Tables
+    rules: Rules
+    env: np.ndarray  # ENV_DTYPE [B]
+    ledger: Ledger
+    arrivals: Arrivals
+    running: Running
+    walk: Walk
+    view: View
+    log: Log
+    outcome: np.ndarray  # float64 [B, len(OUTCOME)]
+
+
+OUTCOME = (
+    "passed",  # the step passed every check
+    "step_cost",  # phi~ of a step that passed, $
+    "request_done",
+    "accepted",
+    "reason",  # Reason code, -1 if accepted or not done
+    "request_cost",  # phi of an accepted request, $
+    "request_delay",  # ms, of an accepted request
+    "request_hops",  # links used by an accepted request
+    "service",  # type index of the request that was stepped
+    "request_slot",  # its arrival slot
+    "slots_closed",  # counted slots (after warm-up) that ended with this step
+    "slot_cost",  # sum of Phi_t over them, $
+    "slot_vm_use",  # sum over them of the used share of all VM capacity
+    "slot_link_use",  # the same for links
+    "interrupted",  # running requests lost to failures with this step
+    "done",  # end of the horizon
+)
+"""Columns of ``World.outcome``: what the last step of each environment brought."""
+
+(
+    PASSED,
+    STEP_COST,
+    REQUEST_DONE,
+    ACCEPTED,
+    REASON,
+    REQUEST_COST,
+    REQUEST_DELAY,
+    REQUEST_HOPS,
+    SERVICE,
+    REQUEST_SLOT,
+    SLOTS_CLOSED,
+    SLOT_COST,
+    SLOT_VM_USE,
+    SLOT_LINK_USE,
+    INTERRUPTED,
+    DONE,
+) = range(len(OUTCOME))
+
+
+def flat_size(nodes: int, vms: int, links: int, services: int, functions: int, one_hot: bool) -> int:
+    """P_i of the paper (section VI): N V + L + 5, and the one-hot features when they are on."""
+    return nodes * vms + links + 5 + (services + 2 * nodes + functions + 1 if one_hot else 0)
+
+
+def new_world(
+    tables: Tables, rules: Rules, net: np.ndarray, horizon: int, warmup: int, one_hot: bool, record: bool
+) -> World:
+    """An idle world of ``len(net)`` environments; environment b lives on row ``net[b]`` of ``tables``."""
+    batch = len(net)
+    _, nodes, vms = tables.vm_capacity.shape
+    links = tables.link_capacity.shape[1]
+    services, functions = tables.load.shape
+    actions = 2 * nodes * vms + 1
+    env = np.zeros(batch, ENV_DTYPE)
+    env["net"], env["horizon"], env["warmup"] = net, horizon, warmup
+    return World(
+        tables=tables,
+        rules=rules,
+        env=env,
+        ledger=Ledger(
+            vm_reserved=np.zeros((batch, nodes, vms), np.int64),
+            vm_offered=tables.vm_capacity[net].copy(),
+            vm_failed=np.zeros((batch, nodes, vms), np.bool_),
+            link_reserved=np.zeros((batch, links), np.int64),
+            link_offered=tables.link_capacity[net].copy(),
+            link_failed=np.zeros((batch, links), np.bool_),
+        ),
+        arrivals=new_arrivals(batch, 1, 1),
+        running=_new_running(batch, horizon, 256, 2048),
+        walk=Walk(
+            action=np.zeros((batch, rules.max_steps), np.int32),
+            resource=np.zeros((batch, 2 * rules.max_steps), np.int32),
+            amount=np.zeros((batch, 2 * rules.max_steps), np.int64),
+        ),
+        view=View(
+            mask=np.zeros((batch, actions), np.bool_),
+            valid=np.zeros((batch, actions), np.int32),
+            flat=np.zeros((batch, flat_size(nodes, vms, links, services, functions, one_hot)), np.float32),
+            one_hot=one_hot,
+        ),
+        log=new_log(batch, 1, record),
+        outcome=np.zeros((batch, len(OUTCOME))),
+    )
+
+
+def new_arrivals(batch: int, requests: int, events: int) -> Arrivals:
+    """Empty arrays for ``requests`` requests and ``events`` failure events per environment."""
+    return Arrivals(
+        slot=np.zeros((batch, requests), np.int32),
+        service=np.zeros((batch, requests), np.int16),
+        ingress=np.zeros((batch, requests), np.int16),
+        egress=np.zeros((batch, requests), np.int16),
+        departure=np.zeros((batch, requests), np.int32),
+        lifetime=np.zeros((batch, requests), np.float32),
+        service_share=np.zeros((batch, requests), np.float32),
+        event_slot=np.zeros((batch, events), np.int32),
+        event_resource=np.zeros((batch, events), np.int32),
+        event_up=np.zeros((batch, events), np.bool_),
+    )
+
+
+def new_log(batch: int, requests: int, enabled: bool) -> Log:
+    """An empty decision log."""
+    rows = requests if enabled else 1
+    return Log(
+        enabled=enabled,
+        reason=np.full((batch, rows), -1, np.int8),
+        delay=np.full((batch, rows), np.nan),
+        cost=np.full((batch, rows), np.nan),
+        hops=np.zeros((batch, rows), np.int32),
+        interrupted_at=np.full((batch, rows), -1, np.int32),
+        start=np.zeros((batch, rows + 1), np.int64),
+        action=np.zeros((batch, 8 * rows + 256 if enabled else 1), np.int32),
+    )
+
+
+def _new_running(batch: int, horizon: int, records: int, entries: int) -> Running:
+    return Running(
+        head=np.full((batch, horizon + 1), -1, np.int32),
+        record_next=np.zeros((batch, records), np.int32),
+        record_entry=np.zeros((batch, records), np.int32),
+        record_request=np.zeros((batch, records), np.int32),
+        record_cost=np.zeros((batch, records)),
+        entry_next=np.zeros((batch, entries), np.int32),
+        entry_resource=np.zeros((batch, entries), np.int32),
+        entry_amount=np.zeros((batch, entries), np.int64),
+    )
+
+
+def widen(array: np.ndarray, columns: int, fill: int | float | bool = 0) -> np.ndarray:
+    """A copy of ``array`` [B, c] with at least ``columns`` columns, new ones filled with ``fill``."""
+    if array.shape[1] >= columns:
+        return array
+    wide = np.full((array.shape[0], columns), fill, array.dtype)
+    wide[:, : array.shape[1]] = array
+    return wide
+
+
+def grow_pools(world: World) -> World:
+    """The same world with room for twice the running requests and reservations.
+
+    New places are chained in front of each environment's free lists.
+    """
+    running, env = world.running, world.env
+    records, entries = running.record_next.shape[1], running.entry_next.shape[1]
+    grown = running._replace(
+        **{
+            name: widen(array, 2 * array.shape[1])
+            for name, array in running._asdict().items()
+            if name != "head"
+        }
+    )
+    _chain(grown.record_next, records, env["free_record"])
+    _chain(grown.entry_next, entries, env["free_entry"])
+    env["free_record"], env["free_entry"] = records, entries
+    env["free_records"] += records
+    env["free_entries"] += entries
+    return world._replace(running=grown)
+
+
+def _chain(following: np.ndarray, first: int, tail: np.ndarray) -> None:
+    """Link places first, first + 1, ... of each row, the last one to ``tail`` [B]."""
+    last = following.shape[1] - 1
+    following[:, first:last] = np.arange(first + 1, last + 1)
+    following[:, last] = tail
