@@ -1,0 +1,13 @@
+"""The errors this package raises on purpose; their messages name the culprit and the remedy."""
+
+
+class ScenarioError(ValueError):
+    """A scenario, a file or a config value that cannot be used."""
+
+
+class CheckpointError(RuntimeError):
+    """A checkpoint that cannot be read, or does not fit what it is loaded into."""
+
+
+class AuditError(RuntimeError):
+    """Written decisions that contradict the rules of the model or the numbers reported with them."""

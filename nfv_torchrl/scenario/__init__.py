@@ -1,0 +1,35 @@
+"""What the world is: substrate, services, workload, failures; frozen data with generators, readers and writers.
+
+Needs NumPy and networkx, not torch. Start at :class:`Scenario`.
+"""
+
+from nfv_torchrl.scenario.config import ScenarioConfig, SubstrateConfig
+from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline, sample_timeline
+from nfv_torchrl.scenario.random_graph import draw_random_substrate
+from nfv_torchrl.scenario.resources import ResourceRanges
+from nfv_torchrl.scenario.scenario import Scenario, paper_scenario
+from nfv_torchrl.scenario.services import ServiceCatalogue, ServiceType, paper_catalogue
+from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.scenario.substrate import Substrate
+from nfv_torchrl.scenario.topology_zoo import read_topology
+from nfv_torchrl.scenario.workload import Workload
+
+__all__ = [
+    "FailureModel",
+    "FailureTimeline",
+    "ResourceRanges",
+    "Scenario",
+    "ScenarioConfig",
+    "ServiceCatalogue",
+    "ServiceType",
+    "Stream",
+    "Substrate",
+    "SubstrateConfig",
+    "Workload",
+    "draw_random_substrate",
+    "generator",
+    "paper_catalogue",
+    "paper_scenario",
+    "read_topology",
+    "sample_timeline",
+]

@@ -1,0 +1,93 @@
+"""Draws of what a topology does not tell: VMs, capacities, delays and unit costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ResourceRanges:
+    """Closed intervals that resources are drawn from, uniformly; the defaults are the paper's simulation settings.
+
+    Attributes:
+        vms: V_m, VMs of a node (integers).
+        vm_capacity: psi, Mcycles/s.
+        vm_unit_cost: w, $ per Mcycles/s.
+        link_capacity: x, Mbit/s.
+        link_delay: kappa, ms.
+        link_unit_cost: w-hat, $ per Mbit/s.
+
+    Raises:
+        ScenarioError: an interval is empty, not finite, or reaches zero and below.
+    """
+
+    vms: tuple[int, int] = (1, 6)
+    vm_capacity: Range = (200.0, 1200.0)
+    vm_unit_cost: Range = (25.0, 75.0)
+    link_capacity: Range = (1600.0, 6400.0)
+    link_delay: Range = (5.0, 15.0)
+    link_unit_cost: Range = (25.0, 75.0)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            low, high = getattr(self, field.name)
+            self._check(field.name, low, high)
+        low, high = self.vms
+        if low < 1 or int(low) != low or int(high) != high:
+            raise ScenarioError(f"vms: [{low}, {high}] are not VM counts; use integers from 1 (vms_min, vms_max)")
+
+    def _check(self, name: str, low: float, high: float) -> None:
+        hint = f"{name}: [{low}, {high}]"
+        if not (np.isfinite(low) and np.isfinite(high)):
+            raise ScenarioError(f"{hint} is not finite; give two numbers [low, high]")
+        if low > high:
+            raise ScenarioError(f"{hint} has low above high; swap them")
+        least = 1 / LEDGER_UNITS if name.endswith("capacity") else 0.0
+        if low < least or (low == 0 and name != "link_delay"):
+            raise ScenarioError(f"{hint} must be positive; raise the lower bound")
+        if high > MAX_CAPACITY:
+            raise ScenarioError(f"{hint} exceeds {MAX_CAPACITY:g}; lower the upper bound")
+
+
+class VmDraw(NamedTuple):
+    """``vm_count`` int64 [N]; ``capacity``, ``unit_cost`` float64 [N, V], 0 where there is no VM, V the range's end."""
+
+    vm_count: np.ndarray
+    capacity: np.ndarray
+    unit_cost: np.ndarray
+
+
+class LinkDraw(NamedTuple):
+    """``capacity`` (Mbit/s), ``delay`` (ms), ``unit_cost``: float64 [L]."""
+
+    capacity: np.ndarray
+    delay: np.ndarray
+    unit_cost: np.ndarray
+
+
+def draw_vms(nodes: int, seed: int, ranges: ResourceRanges) -> VmDraw:
+    """VMs of ``nodes`` nodes. The graph has no part in it: other links leave the VMs as they are."""
+    rng = generator(seed, Stream.RESOURCES, 0)
+    low, high = (int(bound) for bound in ranges.vms)
+    count = rng.integers(low, high, size=nodes, endpoint=True)
+    exists = np.arange(high) < count[:, None]
+    capacity = rng.uniform(*ranges.vm_capacity, size=(nodes, high))
+    unit_cost = rng.uniform(*ranges.vm_unit_cost, size=(nodes, high))
+    return VmDraw(count, np.where(exists, capacity, 0.0), np.where(exists, unit_cost, 0.0))
+
+
+def draw_links(links: int, seed: int, ranges: ResourceRanges) -> LinkDraw:
+    """Numbers of ``links`` links; the VMs have no part in it."""
+    rng = generator(seed, Stream.RESOURCES, 1)
+    capacity = rng.uniform(*ranges.link_capacity, size=links)
+    delay = rng.uniform(*ranges.link_delay, size=links)
+    return LinkDraw(capacity, delay, rng.uniform(*ranges.link_unit_cost, size=links))

@@ -1,0 +1,206 @@
+"""A scenario: substrate, services, arrivals and rules, everything that defines one experiment but the policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.config import ScenarioConfig, parse_config
+from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline, sample_timeline
+from nfv_torchrl.scenario.services import ServiceCatalogue
+from nfv_torchrl.scenario.sources import build_substrate
+from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.scenario.substrate import Substrate
+from nfv_torchrl.scenario.workload import Workload, count_pairs, decode_pairs
+
+ENDPOINTS = ("catalogue", "uniform")
+MASKS = ("adjacency", "feasible")
+TARGET_RHO_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """One experiment's world. Build it with :meth:`from_config` or :func:`paper_scenario`.
+
+    Attributes:
+        name: what tables and files call it.
+        seed: draws topology, resources and endpoint pairs. Workload seeds are apart, see :meth:`workload`.
+        substrate: the network.
+        catalogue: service types and VNFs.
+        horizon: T, slots (s) of one run.
+        warmup: first slots that metrics leave out.
+        arrival_rate: lambda, mean number of arrivals per slot; its double is an integer.
+        mean_lifetime: mu, s.
+        endpoints: ``catalogue``: a request takes one of its type's pairs; ``uniform``: it draws any two nodes.
+        endpoint_pairs: (ingress, egress) of P pairs for each of K types, int64 [K, P, 2]; None when ``uniform``.
+        colocation: a function may also go to a VM of the current node.
+        mask: ``adjacency`` (the paper's) or ``feasible`` (also leaves out what a check would refuse).
+        admission_control: the policy may always reject.
+        observe_lifetime: policies and planners see a request's lifetime.
+        max_steps: J, steps a request's walk may take.
+        failures: probabilities of failures and repairs.
+        workload_path: CSV file that replaces the sampled workloads, or None.
+
+    Raises:
+        ScenarioError: a value is out of range or does not fit the others.
+    """
+
+    name: str
+    seed: int
+    substrate: Substrate
+    catalogue: ServiceCatalogue
+    horizon: int = 1000
+    warmup: int = 0
+    arrival_rate: float = 10.0
+    mean_lifetime: float = 600.0
+    endpoints: str = "catalogue"
+    endpoint_pairs: np.ndarray | None = None
+    colocation: bool = False
+    mask: str = "adjacency"
+    admission_control: bool = False
+    observe_lifetime: bool = False
+    max_steps: int = 100
+    failures: FailureModel = field(default_factory=FailureModel)
+    workload_path: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check_numbers()
+        for key, known in (("endpoints", ENDPOINTS), ("mask", MASKS)):
+            if getattr(self, key) not in known:
+                raise ScenarioError(f"{key}: {getattr(self, key)!r} is unknown; use one of {list(known)}")
+        self._check_pairs()
+
+    def _check_numbers(self) -> None:
+        generator(self.seed, Stream.TOPOLOGY)  # refuses what is no seed
+        for key in ("horizon", "max_steps"):
+            if getattr(self, key) < 1:
+                raise ScenarioError(f"{key}: {getattr(self, key)}; use an integer of at least 1")
+        if not 0 <= self.warmup < self.horizon:
+            raise ScenarioError(f"warmup: {self.warmup} slots; use 0 or more, below the horizon of {self.horizon}")
+        doubled = 2 * self.arrival_rate
+        if not (math.isfinite(doubled) and doubled >= 1 and doubled == int(doubled)):
+            raise ScenarioError(
+                f"arrival_rate: {self.arrival_rate}; arrivals are uniform in 0 .. 2 * arrival_rate, so use a positive "
+                "multiple of 0.5"
+            )
+        if not (math.isfinite(self.mean_lifetime) and self.mean_lifetime > 0):
+            raise ScenarioError(f"mean_lifetime: {self.mean_lifetime} s; use a positive number")
+
+    def _check_pairs(self) -> None:
+        if (self.endpoints == "catalogue") != (self.endpoint_pairs is not None):
+            raise ScenarioError("endpoint_pairs: needed with endpoints=catalogue, must be None with endpoints=uniform")
+        if self.endpoint_pairs is None:
+            return
+        pairs, types = self.endpoint_pairs, len(self.catalogue.types)
+        if pairs.ndim != 3 or pairs.shape[0] != types or pairs.shape[1] < 1 or pairs.shape[2] != 2:
+            raise ScenarioError(f"endpoint_pairs: shape {list(pairs.shape)}; [{types}, P, 2] was expected")
+        if pairs.min() < 0 or pairs.max() >= self.substrate.num_nodes:
+            raise ScenarioError(f"endpoint_pairs: nodes must lie in 0 .. {self.substrate.num_nodes - 1}")
+        if np.any(pairs[..., 0] == pairs[..., 1]):
+            raise ScenarioError("endpoint_pairs: a pair has one node as ingress and egress; they must differ")
+
+    @classmethod
+    def from_config(cls, config: Mapping[str, Any] | ScenarioConfig) -> Scenario:
+        """Build a scenario from a plain mapping (as of the yaml files in ``recipes/config/scenario``).
+
+        Raises:
+            ScenarioError: an unknown key or a wrong value, named with the remedy; or a file that cannot be used.
+        """
+        config = parse_config(config)
+        catalogue = ServiceCatalogue(types=tuple(config.services.values()), vnfs=config.vnfs)
+        substrate = build_substrate(config.substrate, config.seed)
+        pairs = None
+        if config.endpoints == "catalogue":
+            pairs = draw_endpoint_pairs(len(catalogue.types), config.pairs_per_service, substrate, config.seed)
+        shared = {spec.name for spec in dataclasses.fields(cls)} & {spec.name for spec in dataclasses.fields(config)}
+        taken = {key: getattr(config, key) for key in shared - {"substrate"}}
+        scenario = cls(
+            substrate=substrate, catalogue=catalogue, endpoint_pairs=pairs, workload_path=config.workload.path, **taken
+        )
+        if scenario.workload_path is not None:
+            _ = scenario.file_workload  # refuse a bad file now, not hours later
+        return scenario._scaled_to(config.substrate.target_rho)
+
+    def _scaled_to(self, target_rho: float | None) -> Scenario:
+        """The scenario with all VM capacities scaled by one factor so that the offered load is ``target_rho``."""
+        if target_rho is None:
+            return self
+        factor = self.offered_load() / target_rho
+        # A substrate that was scaled before and written to a file comes back as it is, to the bit.
+        if abs(factor - 1) <= TARGET_RHO_TOLERANCE:
+            return self
+        return self.replace(substrate=self.substrate.scale_vm_capacity(factor))
+
+    def replace(self, **changes: Any) -> Scenario:
+        """A copy with some attributes changed (and checked again)."""
+        return dataclasses.replace(self, **changes)
+
+    def offered_load(self) -> float:
+        """rho, the processing load offered over that installed.
+
+        rho = lambda mu (1 - exp(-T / mu)) (mean over the mix of sum of d B) / (sum of psi): requests running at the end
+        of a horizon that began empty, were all accepted, over the sum of VM capacities. With a workload file lambda, mu
+        and the mean load are those of its requests.
+        """
+        rate, lifetime, load = self.arrival_rate, self.mean_lifetime, self.catalogue.mean_load
+        if self.workload_path is not None:
+            requests = self.file_workload
+            rate, lifetime = len(requests) / self.horizon, float(requests.lifetime.mean())
+            load = float(self.catalogue.load.sum(axis=1)[requests.service].mean())
+        running = rate * lifetime * -math.expm1(-self.horizon / lifetime)
+        return running * load / self.substrate.total_vm_capacity
+
+    @cached_property
+    def file_workload(self) -> Workload:
+        """The requests of ``workload_path``, read once."""
+        if self.workload_path is None:
+            raise ScenarioError("workload.path: is null, so there is no file to read; give a CSV file")
+        return Workload.from_csv(self.workload_path, self.catalogue, self.substrate, self.horizon)
+
+    def workload(self, seed: int, *key: int) -> Workload:
+        """The requests of workload seed ``seed``, always the same; with a workload file those, whatever the seed.
+
+        ``key`` splits the seed further, such as by an env's index and an episode's number.
+        """
+        if self.workload_path is not None:
+            return self.file_workload
+        return Workload.sample(self, generator(seed, Stream.WORKLOAD, *key))
+
+    def failure_timeline(self, seed: int, *key: int) -> FailureTimeline:
+        """Failures and repairs of workload seed ``seed``; empty when failures are off."""
+        return sample_timeline(self.failures, self.substrate, self.horizon, generator(seed, Stream.FAILURES, *key))
+
+
+def draw_endpoint_pairs(types: int, pairs_per_service: int, substrate: Substrate, seed: int) -> np.ndarray:
+    """P distinct (ingress, egress) pairs for each service type, int64 [K, P, 2].
+
+    A type with a pair is one of the paper's K services. Each type has a generator of its own, and a larger P keeps the
+    pairs of a smaller one.
+
+    Raises:
+        ScenarioError: the network has fewer than P such pairs.
+    """
+    possible = count_pairs(substrate.num_nodes)
+    if not 1 <= pairs_per_service <= possible:
+        raise ScenarioError(
+            f"pairs_per_service: {pairs_per_service}; a network of {substrate.num_nodes} nodes has {possible} distinct "
+            f"(ingress, egress) pairs, so use 1 .. {possible}, or endpoints=uniform"
+        )
+    codes = [generator(seed, Stream.CATALOGUE, kind).permutation(possible)[:pairs_per_service] for kind in range(types)]
+    return np.stack(decode_pairs(np.array(codes, np.int64), substrate), axis=-1)
+
+
+def paper_scenario(nodes: int = 10, seed: int = 0, **changes: Any) -> Scenario:
+    """The paper's simulation setting with N = ``nodes``; ``changes`` are further keys of :class:`ScenarioConfig`.
+
+    For instance ``paper_scenario(colocation=True, substrate={"vms_max": 2}, failures={"p_repair": 0.1})``.
+    """
+    substrate = {"nodes": nodes, **changes.pop("substrate", {})}
+    return Scenario.from_config({"seed": seed, "substrate": substrate, **changes})

@@ -1,0 +1,70 @@
+"""Where a substrate comes from: a random graph, a file, a topology that ships here, or a user's own generator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.config import SubstrateConfig
+from nfv_torchrl.scenario.random_graph import draw_random_substrate
+from nfv_torchrl.scenario.substrate import Substrate
+from nfv_torchrl.scenario.topology_zoo import read_topology
+
+
+def build_substrate(config: SubstrateConfig, seed: int) -> Substrate:
+    """The substrate that ``config`` describes, drawn with scenario seed ``seed``.
+
+    ``path`` ending in ``.json`` is read as it is; ``.graphml``, ``.gml`` and shipped names give the topology, the rest
+    is drawn; ``generator`` is called; with neither the graph is random. ``target_rho`` is the scenario's to apply.
+
+    Raises:
+        ScenarioError: a value or a file that cannot be used.
+    """
+    if config.path is not None and config.generator is not None:
+        raise ScenarioError("substrate: both path and generator are set; keep one and set the other to null")
+    if config.generator is not None:
+        return _call_generator(config.generator, seed)
+    ranges: dict[str, Any] = {
+        "vms": (config.vms_min, config.vms_max),
+        "vm_capacity": config.vm_capacity,
+        "vm_unit_cost": config.vm_unit_cost,
+        "link_capacity": config.link_capacity,
+        "link_delay": config.link_delay,
+        "link_unit_cost": config.link_unit_cost,
+    }
+    if config.path is None:
+        return draw_random_substrate(config.nodes, seed, mean_degree=config.mean_degree, **ranges)
+    if Path(config.path).suffix.lower() == ".json":
+        return Substrate.from_json(config.path)
+    return read_topology(
+        config.path,
+        seed,
+        fibre_km_per_ms=config.fibre_km_per_ms,
+        detour=config.detour,
+        largest_component=config.largest_component,
+        **ranges,
+    )
+
+
+def _call_generator(config: Mapping[str, Any], seed: int) -> Substrate:
+    """What the user's callable named by ``_target_`` returns when called with ``seed`` and the other keys."""
+    from hydra.errors import InstantiationException
+    from hydra.utils import instantiate
+
+    target = config.get("_target_")
+    if not target:
+        raise ScenarioError("substrate.generator: needs _target_, such as my_package.my_module.my_generator")
+    try:
+        substrate = instantiate(dict(config), seed=seed)
+    except InstantiationException as error:
+        if isinstance(error.__cause__, ScenarioError):
+            raise error.__cause__ from error
+        raise ScenarioError(f"substrate.generator: {target} cannot be called: {error}") from error
+    if not isinstance(substrate, Substrate):
+        raise ScenarioError(
+            f"substrate.generator: {target} returned a {type(substrate).__name__}; it must return a "
+            "nfv_torchrl.scenario.Substrate (Substrate.from_networkx makes one)"
+        )
+    return substrate

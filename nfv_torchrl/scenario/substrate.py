@@ -1,0 +1,322 @@
+"""The substrate network: nodes that hold VMs, links between them, capacities, delays and unit costs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import networkx as nx
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.files import read_json, write_atomically
+from nfv_torchrl.scenario.links import Links, merge_links
+from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY, quantise
+
+
+@dataclass(frozen=True, eq=False)
+class Substrate:
+    """An undirected connected graph G(N, L) with VMs on its nodes (section "System Model" of the paper).
+
+    Nodes are 0 .. N-1, in files too. Arrays are read-only; capacities are rounded to whole bit/s and cycles/s.
+
+    Attributes:
+        name: what tables and files call it.
+        labels: N distinct node names, for people.
+        vm_count: V_m, int64 [N], at least 1.
+        vm_capacity: psi in Mcycles/s, float64 [N, V], 0 where node n has no VM v (v >= vm_count[n]). V may exceed the
+            largest ``vm_count``: a generator uses its upper bound, so that sizes do not change from seed to seed.
+        vm_unit_cost: w in $ per Mcycles/s, float64 [N, V], 0 where there is no VM.
+        links: ends u < v of each link, int64 [L, 2], sorted, no two alike. One capacity serves both directions.
+        link_capacity: x in Mbit/s, float64 [L].
+        link_delay: propagation delay kappa in ms, float64 [L].
+        link_unit_cost: w-hat in $ per Mbit/s, float64 [L].
+        coordinates: latitude and longitude in degrees, float64 [N, 2], or None.
+
+    Raises:
+        ScenarioError: shapes that do not fit, values out of range, or a graph that is not connected.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    vm_count: np.ndarray
+    vm_capacity: np.ndarray
+    vm_unit_cost: np.ndarray
+    links: np.ndarray
+    link_capacity: np.ndarray
+    link_delay: np.ndarray
+    link_unit_cost: np.ndarray
+    coordinates: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        self._set("labels", tuple(str(label) for label in self.labels))
+        for field in ("vm_count", "links"):
+            self._set(field, np.array(getattr(self, field), np.int64))
+        for field in ("vm_capacity", "link_capacity"):
+            self._set(field, quantise(getattr(self, field)))
+        for field in ("vm_unit_cost", "link_delay", "link_unit_cost"):
+            self._set(field, np.array(getattr(self, field), np.float64))
+        if self.coordinates is not None:
+            self._set("coordinates", np.array(self.coordinates, np.float64))
+        self.validate()
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    def _set(self, field: str, value: Any) -> None:
+        object.__setattr__(self, field, value)
+
+    @property
+    def num_nodes(self) -> int:
+        """N."""
+        return len(self.vm_count)
+
+    @property
+    def num_links(self) -> int:
+        """|L|."""
+        return len(self.links)
+
+    @property
+    def max_vms(self) -> int:
+        """V_max, the VM slots of each node: an action index counts all of them, drawn or not."""
+        return self.vm_capacity.shape[1]
+
+    @property
+    def total_vm_capacity(self) -> float:
+        """Sum of psi over all VMs, Mcycles/s."""
+        return float(self.vm_capacity.sum())
+
+    def scale_vm_capacity(self, factor: float) -> Substrate:
+        """The same network with every VM's capacity times ``factor``."""
+        return dataclasses.replace(self, vm_capacity=self.vm_capacity * factor)
+
+    # ---------------------------------------------------------------- checks
+
+    def validate(self) -> None:
+        """Refuse what is not a substrate; see the class for what that is."""
+        self._check_shapes()
+        self._check_vms()
+        self._check_links()
+        self._check_connected()
+        if self.coordinates is not None and not np.isfinite(self.coordinates).all():
+            raise self._error("coordinates must be finite numbers of degrees; use None if some are unknown")
+
+    def _error(self, message: str) -> ScenarioError:
+        return ScenarioError(f"substrate {self.name!r}: {message}")
+
+    def _check_shapes(self) -> None:
+        nodes, links = len(self.labels), len(self.links)
+        if nodes < 2:
+            raise self._error(f"has {nodes} node(s); a request needs an ingress and an egress, so at least 2")
+        if len(set(self.labels)) != nodes:
+            raise self._error("has two nodes with one label; labels must differ")
+        vms = self.vm_capacity.shape[-1] if self.vm_capacity.ndim == 2 else 1
+        expected: dict[str, tuple[int, ...]] = {
+            "vm_count": (nodes,),
+            "vm_capacity": (nodes, vms),
+            "vm_unit_cost": (nodes, vms),
+            "links": (links, 2),
+            "link_capacity": (links,),
+            "link_delay": (links,),
+            "link_unit_cost": (links,),
+        }
+        if self.coordinates is not None:
+            expected["coordinates"] = (nodes, 2)
+        for field, shape in expected.items():
+            actual = getattr(self, field).shape
+            if actual != shape:
+                raise self._error(f"{field} has shape {list(actual)}; {list(shape)} was expected")
+
+    def _check_vms(self) -> None:
+        if self.vm_count.min() < 1 or self.vm_count.max() > self.max_vms:
+            node = int(np.argmax((self.vm_count < 1) | (self.vm_count > self.max_vms)))
+            raise self._error(f"node {node} has {self.vm_count[node]} VMs; 1 to {self.max_vms} are possible")
+        exists = np.arange(self.max_vms) < self.vm_count[:, None]
+        for field, unit in (("vm_capacity", "Mcycles/s"), ("vm_unit_cost", "$ per Mcycles/s")):
+            values = getattr(self, field)
+            if np.any(values[~exists] != 0):
+                raise self._error(f"{field} must be 0 where a node has no VM")
+            for node, vm in np.argwhere(exists & ~_usable(values)):
+                raise self._error(_out_of_range(f"VM {vm} of node {node}", field, values[node, vm], unit))
+
+    def _check_links(self) -> None:
+        ends = self.links
+        if ends.size and (ends.min() < 0 or ends.max() >= self.num_nodes):
+            raise self._error(f"a link names a node outside 0 .. {self.num_nodes - 1}")
+        if np.any(ends[:, 0] >= ends[:, 1]):
+            raise self._error("each link must be (u, v) with u < v; links from a node to itself are not allowed")
+        order = ends[:, 0] * self.num_nodes + ends[:, 1]
+        if np.any(np.diff(order) <= 0):
+            raise self._error("links must be sorted and distinct; merge_links does both")
+        for field, unit in (("link_capacity", "Mbit/s"), ("link_unit_cost", "$ per Mbit/s")):
+            values = getattr(self, field)
+            for (link,) in np.argwhere(~_usable(values)):
+                raise self._error(_out_of_range(f"link {ends[link].tolist()}", field, values[link], unit))
+        for (link,) in np.argwhere(~(np.isfinite(self.link_delay) & (self.link_delay >= 0))):
+            raise self._error(f"link {ends[link].tolist()}: link_delay is {self.link_delay[link]} ms; use 0 or more")
+
+    def _check_connected(self) -> None:
+        graph = nx.empty_graph(self.num_nodes)
+        graph.add_edges_from(self.links.tolist())
+        parts = nx.number_connected_components(graph)
+        if parts > 1:
+            raise self._error(f"is not connected ({parts} parts); add links or keep its largest component only")
+
+    # ---------------------------------------------------------------- files
+
+    def to_networkx(self) -> nx.Graph:
+        """A graph with node attributes ``label``, ``vms`` (list of ``capacity``, ``unit_cost``), ``latitude`` and
+        ``longitude`` if known; link attributes ``capacity``, ``delay``, ``unit_cost``; graph attributes ``name``,
+        ``max_vms`` (V, which the VMs alone do not tell)."""
+        graph = nx.Graph(name=self.name, max_vms=self.max_vms)
+        for node, label in enumerate(self.labels):
+            count = int(self.vm_count[node])
+            pairs = zip(self.vm_capacity[node, :count].tolist(), self.vm_unit_cost[node, :count].tolist(), strict=True)
+            graph.add_node(node, label=label, vms=[{"capacity": psi, "unit_cost": w} for psi, w in pairs])
+            if self.coordinates is not None:
+                latitude, longitude = self.coordinates[node].tolist()
+                graph.nodes[node].update(latitude=latitude, longitude=longitude)
+        for link, (u, v) in enumerate(self.links.tolist()):
+            graph.add_edge(
+                u,
+                v,
+                capacity=float(self.link_capacity[link]),
+                delay=float(self.link_delay[link]),
+                unit_cost=float(self.link_unit_cost[link]),
+            )
+        return graph
+
+    @classmethod
+    def from_networkx(cls, graph: nx.Graph, source: str = "graph") -> Substrate:
+        """The inverse of :meth:`to_networkx`; ``source`` names the graph in errors.
+
+        Node ids that are 0 .. N-1 stay; others are numbered in the graph's order and kept as labels. Parallel links are
+        merged, links from a node to itself dropped with a warning.
+
+        Raises:
+            ScenarioError: an attribute is missing or not a number, or the result is no substrate.
+        """
+        if graph.is_directed():
+            raise ScenarioError(f"{source}: is directed; links serve both directions, so give an undirected graph")
+        nodes = list(graph.nodes)
+        if set(nodes) == set(range(len(nodes))):
+            nodes.sort()
+        index = {node: place for place, node in enumerate(nodes)}
+        vms = [_vms_of(graph.nodes[node], f"{source}: node {node!r}") for node in nodes]
+        edges = [(u, v, _link_of(data, f"{source}: link {u!r} - {v!r}")) for u, v, data in graph.edges(data=True)]
+        numbers = np.array([numbers for _, _, numbers in edges], np.float64).reshape(-1, 3)
+        ends = np.array([(index[u], index[v]) for u, v, _ in edges], np.int64).reshape(-1, 2)
+        links = merge_links(Links(ends, *numbers.T), source)
+        count, capacity, unit_cost = _pad_vms(vms, graph.graph.get("max_vms"), source)
+        return cls(
+            name=str(graph.graph.get("name") or source),
+            labels=tuple(str(graph.nodes[node].get("label", node)) for node in nodes),
+            vm_count=count,
+            vm_capacity=capacity,
+            vm_unit_cost=unit_cost,
+            links=links.ends,
+            link_capacity=links.capacity,
+            link_delay=links.delay,
+            link_unit_cost=links.unit_cost,
+            coordinates=_coordinates_of([graph.nodes[node] for node in nodes], source),
+        )
+
+    def to_json(self, path: str | os.PathLike[str]) -> None:
+        """Write the networkx ``node_link_data`` form of :meth:`to_networkx`, with all digits."""
+        graph = self.to_networkx()
+        data = {
+            "directed": False,
+            "multigraph": False,
+            "graph": graph.graph,
+            "nodes": [{"id": node, **attributes} for node, attributes in graph.nodes(data=True)],
+            "links": [{"source": u, "target": v, **attributes} for u, v, attributes in graph.edges(data=True)],
+        }
+        write_atomically(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+    @classmethod
+    def from_json(cls, path: str | os.PathLike[str]) -> Substrate:
+        """Read what :meth:`to_json` wrote, or any ``node_link_data`` JSON with the same attributes.
+
+        Links are taken from ``links`` or, as newer networkx writes them, ``edges``.
+
+        Raises:
+            ScenarioError: the file cannot be read, is not of this form, or holds no substrate.
+        """
+        data = read_json(path)
+        links = data.get("links", data.get("edges"))
+        nodes = data.get("nodes")
+        if not isinstance(nodes, list) or not isinstance(links, list):
+            raise ScenarioError(f"{path}: needs the lists 'nodes' and 'links' of networkx's node_link_data form")
+        kind = nx.MultiDiGraph if data.get("directed") else nx.MultiGraph
+        attributes = data.get("graph")
+        graph = kind(**attributes) if isinstance(attributes, dict) else kind()
+        try:
+            for node in nodes:
+                graph.add_node(node["id"], **{key: value for key, value in node.items() if key != "id"})
+            for link in links:
+                for end in (link["source"], link["target"]):
+                    if end not in graph:
+                        raise ScenarioError(f"{path}: a link names node {end!r}, which is not among 'nodes'")
+                numbers = {key: link[key] for key in ("capacity", "delay", "unit_cost") if key in link}
+                graph.add_edge(link["source"], link["target"], **numbers)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ScenarioError(
+                f"{path}: each node needs an 'id', each link a 'source' and a 'target' ({error!r})"
+            ) from error
+        if len(graph) != len(nodes):
+            raise ScenarioError(f"{path}: two nodes have the same 'id'; ids must differ")
+        if not graph.graph.get("name"):
+            graph.graph["name"] = Path(path).stem
+        return cls.from_networkx(graph, source=str(path))
+
+
+def _usable(values: np.ndarray) -> np.ndarray:
+    return np.isfinite(values) & (values > 0) & (values <= MAX_CAPACITY)
+
+
+def _out_of_range(where: str, field: str, value: float, unit: str) -> str:
+    return (
+        f"{where}: {field} is {value} {unit}; it must be above 0 (capacities at least {1 / LEDGER_UNITS:g}) "
+        f"and at most {MAX_CAPACITY:g}"
+    )
+
+
+def _number(data: Any, key: str, where: str) -> float:
+    value = data.get(key) if isinstance(data, dict) else None
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise ScenarioError(f"{where}: {key!r} is {value!r}; a number was expected")
+    return float(value)
+
+
+def _vms_of(data: dict[str, Any], where: str) -> list[tuple[float, float]]:
+    vms = data.get("vms")
+    if not isinstance(vms, list) or not vms:
+        raise ScenarioError(f"{where}: needs 'vms', a list of at least one {{capacity, unit_cost}}")
+    return [(_number(vm, "capacity", f"{where}, a VM"), _number(vm, "unit_cost", f"{where}, a VM")) for vm in vms]
+
+
+def _link_of(data: dict[str, Any], where: str) -> tuple[float, float, float]:
+    return _number(data, "capacity", where), _number(data, "delay", where), _number(data, "unit_cost", where)
+
+
+def _pad_vms(vms: list[list[tuple[float, float]]], max_vms: Any, source: str) -> tuple[np.ndarray, ...]:
+    """VM counts int64 [N], capacities and unit costs float64 [N, V] with V = ``max_vms`` or the largest count."""
+    largest = max((len(node) for node in vms), default=1)
+    width = largest if max_vms is None else max_vms
+    if isinstance(width, bool) or not isinstance(width, int) or width < largest:
+        raise ScenarioError(f"{source}: 'max_vms' is {max_vms!r}, but a node has {largest} VMs; raise or remove it")
+    table = np.zeros((2, len(vms), width))
+    for node, pairs in enumerate(vms):
+        table[:, node, : len(pairs)] = np.array(pairs).T
+    return np.array([len(pairs) for pairs in vms], np.int64), table[0], table[1]
+
+
+def _coordinates_of(nodes: list[dict[str, Any]], source: str) -> np.ndarray | None:
+    """Latitude and longitude float64 [N, 2], None unless every node has both."""
+    if not all("latitude" in node and "longitude" in node for node in nodes):
+        return None
+    return np.array([[_number(node, key, source) for key in ("latitude", "longitude")] for node in nodes])
