@@ -1,0 +1,335 @@
+"""Replays the decisions of a run slot by slot and checks every one against the rules and the capacities left."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from nfv_torchrl.evaluation.audit.files import Request, RunFiles, Service, is_index, is_number
+
+COST_TOLERANCE = 1e-9
+"""Relative: costs are sums of the same products, in another order at most."""
+DELAY_TOLERANCE = 1e-6
+"""ms."""
+
+DECISION_KEYS = {
+    "slot", "service", "ingress", "egress", "lifetime", "accepted", "reason", "steps", "delay_ms", "cost",
+    "interrupted_at",
+}  # fmt: skip
+REASONS = (
+    "link_capacity", "vm_capacity", "delay", "step_limit", "no_feasible_action", "rejected_by_policy", "invalid_action",
+)  # fmt: skip
+
+Resource = tuple[str, int, int]
+"""("vm", node, index) or ("link", smaller end, larger end)."""
+
+
+class Event(NamedTuple):
+    """A line of the failure timeline."""
+
+    resource: Resource
+    repaired: bool
+
+
+class Walk(NamedTuple):
+    """What an accepted request uses, as recomputed from its steps: whole units, $, ms, links."""
+
+    uses: list[tuple[Resource, int]]
+    cost: float
+    delay: float
+    hops: int
+
+
+@dataclass
+class Answer:
+    """One request as replayed."""
+
+    request: Request
+    accepted: bool
+    reason: str | None
+    walk: Walk
+    interrupted_at: int | None = None
+
+    @property
+    def end(self) -> int:
+        """First slot in which it no longer runs."""
+        return self.request.departure if self.interrupted_at is None else self.interrupted_at
+
+
+@dataclass
+class Replayed:
+    """All answers, and for each slot the cycles/s and bit/s in use after its arrivals."""
+
+    answers: list[Answer] = field(default_factory=list)
+    vm_used: list[int] = field(default_factory=list)
+    link_used: list[int] = field(default_factory=list)
+
+
+NOTHING = Walk([], 0.0, 0.0, 0)
+
+
+def replay(files: RunFiles) -> Replayed | None:
+    """Replay the run; what is wrong goes to ``files.problems``. None when requests and answers do not pair up."""
+    if len(files.decisions) != len(files.workload):
+        _report_unpaired(files)
+        return None
+    return _Replay(files).run()
+
+
+def _report_unpaired(files: RunFiles) -> None:
+    decided, asked = len(files.decisions), len(files.workload)
+    files.problems.add(f"decisions.jsonl answers {decided} requests, workload.csv has {asked}")
+    for line, (decision, request) in enumerate(zip(files.decisions, files.workload, strict=False), start=1):
+        if decision is not None and _identity(decision) != tuple(request):
+            files.problems.add(f"{_where(line)}: not the request of workload.csv line {line + 1}; none, or twice?")
+            return
+    line = min(decided, asked) + 1
+    files.problems.add(f"{_where(line)}: " + ("no such request in workload.csv" if decided > asked else "missing"))
+
+
+def _where(line: int) -> str:
+    return f"decisions.jsonl line {line}"
+
+
+def _identity(decision: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(decision.get(key) for key in Request._fields)
+
+
+class _Replay:
+    """The books of the run: what is free, who uses what, who leaves when."""
+
+    def __init__(self, files: RunFiles) -> None:
+        self.files = files
+        self.problems = files.problems
+        self.free: dict[Resource, int] = {
+            ("vm", node, index): vm.units for node, here in enumerate(files.vms) for index, vm in enumerate(here)
+        }
+        self.free |= {("link", *ends): link.units for ends, link in files.links.items()}
+        self.down: set[Resource] = set()
+        self.users: dict[Resource, set[int]] = defaultdict(set)
+        self.leaving: dict[int, list[int]] = defaultdict(list)
+        self.in_use = {"vm": 0, "link": 0}
+        self.done = Replayed()
+
+    def run(self) -> Replayed:
+        events = self._timeline()
+        requests = enumerate(zip(self.files.workload, self.files.decisions, strict=True))
+        upcoming = next(requests, None)
+        for slot in range(self.files.scenario["horizon"]):
+            for index in self.leaving.pop(slot, ()):
+                if self.done.answers[index].interrupted_at is None:
+                    self._give_back(index)
+            for event in events.get(slot, ()):
+                self._apply(slot, event)
+            while upcoming is not None and upcoming[1][0].slot == slot:
+                self._answer(upcoming[0], *upcoming[1])
+                upcoming = next(requests, None)
+            self.done.vm_used.append(self.in_use["vm"])
+            self.done.link_used.append(self.in_use["link"])
+        self._check_interruptions()
+        return self.done
+
+    # Failures
+
+    def _timeline(self) -> dict[int, list[Event]]:
+        """The failure timeline by slot; in each slot the repairs come before the failures."""
+        events: dict[int, list[Event]] = defaultdict(list)
+        last = (0, False)
+        for number, entry in enumerate(self.files.scenario["failure_timeline"], start=1):
+            where = f"scenario.json failure_timeline entry {number}"
+            resource = self._resource(entry)
+            slot, kind = entry.get("slot"), entry.get("event")
+            if resource is None or not is_index(slot) or kind not in ("repair", "failure"):
+                self.problems.add(f"{where}: {entry} is no repair or failure of a VM or link of the network")
+                continue
+            place = (slot, kind == "failure")
+            if place < last or slot >= self.files.scenario["horizon"]:
+                self.problems.add(f"{where}: slot {slot} is out of order or beyond the horizon")
+            last = max(last, place)
+            events[slot].append(Event(resource, kind == "repair"))
+        return events
+
+    def _resource(self, entry: dict[str, Any]) -> Resource | None:
+        for kind in ("vm", "link"):
+            pair = entry.get(kind)
+            if isinstance(pair, list) and len(pair) == 2 and all(map(is_index, pair)):
+                resource = (kind, *(sorted(pair) if kind == "link" else pair))
+                return resource if resource in self.free else None
+        return None
+
+    def _apply(self, slot: int, event: Event) -> None:
+        if event.repaired != (event.resource in self.down):
+            state = "working" if event.repaired else "failed"
+            what = f"{_name(event.resource)} is {state} already"
+            self.problems.add(f"scenario.json failure_timeline: slot {slot}: {what}")
+        if event.repaired:
+            self.down.discard(event.resource)
+            return
+        self.down.add(event.resource)
+        for index in sorted(self.users[event.resource]):
+            self.done.answers[index].interrupted_at = slot
+            self._give_back(index)
+
+    def _check_interruptions(self) -> None:
+        for index, (answer, decision) in enumerate(zip(self.done.answers, self.files.decisions, strict=True)):
+            stated = None if decision is None else decision.get("interrupted_at")
+            if decision is not None and (stated != answer.interrupted_at or isinstance(stated, bool)):
+                self.problems.add(
+                    f"{_where(index + 1)}: interrupted_at is {stated}, by the failure timeline it is "
+                    f"{answer.interrupted_at}"
+                )
+
+    # The books
+
+    def _take(self, where: str, resource: Resource, amount: int) -> None:
+        if resource in self.down:
+            self.problems.add(f"{where}: uses {_name(resource)}, which has failed")
+        elif self.free[resource] < amount:
+            self.problems.add(
+                f"{where}: exceeds the capacity of {_name(resource)}: needs {amount / 1e6:g}, "
+                f"{self.free[resource] / 1e6:g} is left"
+            )
+        self.free[resource] -= amount
+        self.in_use[resource[0]] += amount
+
+    def _give_back(self, index: int) -> None:
+        for resource, amount in self.done.answers[index].walk.uses:
+            self.free[resource] += amount
+            self.in_use[resource[0]] -= amount
+            self.users[resource].discard(index)
+
+    # The answers
+
+    def _answer(self, index: int, request: Request, decision: dict[str, Any] | None) -> None:
+        where = f"{_where(index + 1)} (slot {request.slot})"
+        answer = Answer(request, False, None, NOTHING)
+        self.done.answers.append(answer)
+        if decision is None:
+            return
+        if decision.keys() != DECISION_KEYS:
+            self.problems.add(f"{where}: missing or unknown keys {sorted(decision.keys() ^ DECISION_KEYS)}")
+            return
+        if _identity(decision) != tuple(request):
+            self.problems.add(f"{where}: {_identity(decision)} is not the request of workload.csv line {index + 2}")
+        answer.accepted, answer.reason = decision["accepted"] is True, decision["reason"]
+        if not answer.accepted:
+            self._check_rejected(where, decision)
+            return
+        if answer.reason is not None:
+            self.problems.add(f"{where}: accepted, yet with the reason {answer.reason!r}")
+        answer.walk = self._walk(where, request, decision["steps"])
+        self._check_stated(where, request, decision, answer.walk)
+        for resource, _ in answer.walk.uses:
+            self.users[resource].add(index)
+        self.leaving[request.departure].append(index)
+
+    def _check_rejected(self, where: str, decision: dict[str, Any]) -> None:
+        reason = decision["reason"]
+        if decision["accepted"] is not False:
+            self.problems.add(f"{where}: accepted is neither true nor false")
+        if reason not in REASONS:
+            self.problems.add(f"{where}: rejected with the unknown reason {reason!r}")
+        elif reason == "rejected_by_policy" and not self.files.scenario["admission_control"]:
+            self.problems.add(f"{where}: rejected_by_policy, but admission_control is off")
+        if decision["steps"] != []:
+            self.problems.add(f"{where}: rejected, yet has steps")
+        for key in ("delay_ms", "cost"):
+            if decision[key] is not None:
+                self.problems.add(f"{where}: rejected, yet {key} is {decision[key]}")
+
+    def _check_stated(self, where: str, request: Request, decision: dict[str, Any], walk: Walk) -> None:
+        cost, delay = decision["cost"], decision["delay_ms"]
+        if not is_number(cost) or not math.isclose(cost, walk.cost, rel_tol=COST_TOLERANCE, abs_tol=1e-12):
+            self.problems.add(f"{where}: the cost is {cost}, the steps cost {walk.cost!r}")
+        if not is_number(delay) or abs(delay - walk.delay) > DELAY_TOLERANCE:
+            self.problems.add(f"{where}: the delay is {delay} ms, the steps take {walk.delay!r} ms")
+        tolerable = self.files.services[request.service].tolerable_delay
+        if walk.delay > tolerable + DELAY_TOLERANCE:
+            self.problems.add(f"{where}: the steps take {walk.delay!r} ms, {tolerable} ms are tolerable")
+
+    def _walk(self, where: str, request: Request, steps: Any) -> Walk:
+        """Follow the steps, reserve what they use, and recompute cost and delay; stops where they make no sense."""
+        service = self.files.services[request.service]
+        node, placed = request.ingress, 0
+        uses: list[tuple[Resource, int]] = []
+        cost = delay = 0.0
+        hops = 0
+        for number, step in self._well_formed(where, steps):
+            at = f"{where} step {number}"
+            to, index, function = step
+            problem = self._rule_broken(request, service, node, placed, step)
+            if problem:
+                self.problems.add(f"{at}: {problem}")
+            if to != node:
+                ends = (min(node, to), max(node, to))
+                link = self.files.links.get(ends)
+                if link is None:
+                    break
+                hops += 1
+                cost += link.unit_cost * service.rate
+                delay += link.delay + 1000 * service.rate / link.capacity
+                uses.append((("link", *ends), service.rate_units))
+                self._take(at, *uses[-1])
+            if function is not None and function < len(service.load):
+                vm = self.files.vms[to][index]
+                cost += vm.unit_cost * service.load[function]
+                delay += 1000 * service.load[function] / vm.capacity
+                uses.append((("vm", to, index), service.load_units[function]))
+                self._take(at, *uses[-1])
+                placed += 1
+            node = to
+        if node != request.egress:
+            self.problems.add(f"{where}: the walk ends on node {node}, not on the egress {request.egress}")
+        if placed != len(service.load):
+            self.problems.add(f"{where}: {placed} of {len(service.load)} functions are placed")
+        return Walk(uses, cost, delay, hops)
+
+    def _well_formed(self, where: str, steps: Any) -> Iterator[tuple[int, list[Any]]]:
+        """The steps with their numbers from 1, up to the first that names no VM of the network."""
+        most = self.files.scenario["max_steps"]
+        if not isinstance(steps, list):
+            self.problems.add(f"{where}: steps is not a list")
+            return
+        if len(steps) > most:
+            self.problems.add(f"{where}: {len(steps)} steps, {most} are allowed")
+        for number, step in enumerate(steps, start=1):
+            if not (
+                isinstance(step, list)
+                and len(step) == 3
+                and is_index(step[0])
+                and is_index(step[1])
+                and (step[2] is None or (is_index(step[2]) and step[2] >= 0))
+            ):
+                self.problems.add(f"{where} step {number}: {step} is not [node, vm, function or null]")
+                return
+            if ("vm", step[0], step[1]) not in self.free:
+                self.problems.add(f"{where} step {number}: node {step[0]} has no VM {step[1]}")
+                return
+            yield number, step
+
+    def _rule_broken(self, request: Request, service: Service, node: int, placed: int, step: list[Any]) -> str | None:
+        """What is wrong with going from ``node`` to ``step`` when ``placed`` functions are placed; None if nothing."""
+        to, _, function = step
+        chain = len(service.load)
+        if node == request.egress and placed == chain:
+            return "comes after the walk has ended at the egress"
+        if to == node and function is None:
+            return f"stays on node {node} and places nothing"
+        if to == node and node != request.egress and not self.files.scenario["colocation"]:
+            return f"places again on node {node}, but colocation is off"
+        if to != node and node == request.egress:
+            return f"leaves the egress {node}, where the walk has to end"
+        if to != node and (min(node, to), max(node, to)) not in self.files.links:
+            return f"there is no link between {node} and {to}"
+        if function is not None and function != placed:
+            expected = f"function {placed} is next" if placed < chain else "all functions are placed"
+            return f"places function {function}, but {expected}"
+        return None
+
+
+def _name(resource: Resource) -> str:
+    kind, a, b = resource
+    return f"VM {b} of node {a}" if kind == "vm" else f"link {a}-{b}"

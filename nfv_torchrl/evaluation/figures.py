@@ -1,0 +1,125 @@
+"""What every figure shares: the style, lines with their confidence intervals, and saving all or nothing."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+from matplotlib.figure import Figure
+
+from nfv_torchrl.evaluation.statistics import Interval
+from nfv_torchrl.files import write_atomically
+
+STYLE: Any = {
+    "figure.figsize": (6.4, 4.2),
+    "figure.dpi": 110,
+    "savefig.dpi": 160,
+    "font.size": 10,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.alpha": 0.3,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4.5,
+    "legend.frameon": False,
+    "pdf.fonttype": 42,
+}
+# Colours that stay apart for colour-blind readers (Okabe and Ito), and markers that stay apart in black and white.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+MOST_ERROR_BARS = 25
+"""A series of more points than this shows its interval as a band."""
+
+Row = Mapping[str, Any]
+"""One row of a tidy table: ``series``, ``x``, ``mean``, ``ci_low``, ``ci_high`` and what else the CSV shall hold."""
+
+
+def tidy_row(series: str, x: float, interval: Interval, **more: Any) -> dict[str, Any]:
+    """One row of the tidy table that :func:`line_figure` draws and :func:`save_figure` writes."""
+    return {
+        "series": series,
+        "x": x,
+        "mean": interval.mean,
+        "ci_low": interval.low,
+        "ci_high": interval.high,
+        "n": interval.n,
+        **more,
+    }
+
+
+def line_figure(
+    rows: Sequence[Row], *, x_label: str, y_label: str, title: str = "", dashed: Sequence[str] = ()
+) -> Figure:
+    """One line for each series of ``rows``, with its confidence interval where that is defined.
+
+    Args:
+        rows: tidy table (see :data:`Row`); series are drawn, and coloured, in order of appearance.
+        x_label: label of the horizontal axis, unit included.
+        y_label: label of the vertical axis, unit included.
+        title: what is shown, and on what scenario.
+        dashed: series that are no method (a bound, a theory) and are drawn as dashed lines without markers.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(layout="constrained")
+        axes = figure.add_subplot()
+        for place, series in enumerate(dict.fromkeys(row["series"] for row in rows)):
+            points = sorted((row for row in rows if row["series"] == series), key=lambda row: row["x"])
+            _draw(axes, points, str(series), place, series in dashed)
+        axes.set(xlabel=x_label, ylabel=y_label, title=title)
+        if rows:
+            axes.legend()
+    return figure
+
+
+def _draw(axes: Any, points: Sequence[Row], label: str, place: int, dashed: bool) -> None:
+    x = [point["x"] for point in points]
+    mean, low, high = ([float(point[key]) for point in points] for key in ("mean", "ci_low", "ci_high"))
+    colour = COLOURS[place % len(COLOURS)]
+    band = len(points) > MOST_ERROR_BARS
+    marker = "" if band or dashed else MARKERS[place % len(MARKERS)]
+    axes.plot(x, mean, color=colour, marker=marker, linestyle="--" if dashed else "-", label=label)
+    if band:
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+        return
+    known = [k for k in range(len(points)) if low[k] == low[k] and high[k] == high[k]]
+    arms = [[mean[k] - low[k] for k in known], [high[k] - mean[k] for k in known]]
+    if known:
+        axes.errorbar([x[k] for k in known], [mean[k] for k in known], yerr=arms, fmt="none", ecolor=colour, capsize=2)
+
+
+def save_figure(figure: Figure, rows: Sequence[Row], stem: str | os.PathLike[str]) -> list[Path]:
+    """Write ``stem``.png, ``stem``.pdf and ``stem``.csv (the ``rows`` shown), each complete or not at all.
+
+    The bytes depend on the figure alone: no date, no version goes into the files. Returns the three paths.
+    """
+    base = Path(stem)
+    with matplotlib.rc_context(STYLE):
+        png, pdf = io.BytesIO(), io.BytesIO()
+        figure.savefig(png, format="png", metadata={"Software": None})
+        figure.savefig(pdf, format="pdf", metadata={"Creator": None, "Producer": None, "CreationDate": None})
+    contents = {".png": png.getvalue(), ".pdf": pdf.getvalue(), ".csv": csv_text(rows).encode()}
+    paths = {base.with_name(base.name + suffix): data for suffix, data in contents.items()}
+    for path, data in paths.items():
+        write_atomically(path, data)
+    return list(paths)
+
+
+def csv_text(rows: Sequence[Row]) -> str:
+    """``rows`` as CSV; the columns are the keys in order of first appearance, NaN is an empty cell."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    for row in rows:
+        values = (row.get(column, "") for column in columns)
+        writer.writerow("" if value is None or value != value else value for value in values)
+    return out.getvalue()

@@ -1,0 +1,218 @@
+"""A comparison as tables: aligned text for the terminal, Markdown for documents, CSV for everything else."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from nfv_torchrl.evaluation.comparison import Comparison
+from nfv_torchrl.evaluation.statistics import Interval
+from nfv_torchrl.files import write_atomically
+
+UNDEFINED = "–"
+SUMMARY_COLUMNS = (
+    "method", "metric", "mean", "ci_low", "ci_high", "n", "reference", "scenario", "colocation", "observe_lifetime",
+)  # fmt: skip
+PER_SEED_COLUMNS = ("method", "seed", "metric", "value")
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, column heads and rows of cells, all text; the first column names the row."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def text(self) -> str:
+        """Aligned columns for a terminal."""
+        lines = [self.columns, *self.rows]
+        widths = [max(len(line[k]) for line in lines) for k in range(len(self.columns))]
+        shown = [_pad(line, widths) for line in lines]
+        return "\n".join([self.title, shown[0], "-" * len(shown[0]), *shown[1:]])
+
+    def markdown(self) -> str:
+        """A Markdown table under its title in bold."""
+        lines = [self.columns, ("---", *["---:"] * (len(self.columns) - 1)), *self.rows]
+        return "\n".join([f"**{self.title}**", "", *("| " + " | ".join(line) + " |" for line in lines)])
+
+
+def render(comparison: Comparison, reference: str | None = None, markdown: bool = False) -> str:
+    """All tables of a comparison under the line that says what was compared.
+
+    Args:
+        comparison: the runs.
+        reference: the method that the others are paired with; None (or a single method): no paired table.
+        markdown: Markdown instead of text for a terminal.
+    """
+    tables = [method_table(comparison)]
+    if reference is not None and len(comparison.methods) > 1:
+        tables.append(paired_table(comparison, reference))
+    return "\n\n".join([headline(comparison), *(table.markdown() if markdown else table.text() for table in tables)])
+
+
+def headline(comparison: Comparison) -> str:
+    """The scenario in one line, rho first."""
+    scenario = comparison.scenario
+    seeds = max(len(runs) for runs in comparison.metrics.values())
+    parts = [
+        f"rho = {scenario.offered_load():.2f}",
+        f"scenario {scenario.name}",
+        f"lifetimes {'seen' if scenario.observe_lifetime else 'hidden'}",
+        f"colocation {'on' if scenario.colocation else 'off'}",
+        f"mask {scenario.mask}",
+        f"admission control {'on' if scenario.admission_control else 'off'}",
+        f"N = {scenario.substrate.num_nodes}",
+        f"T = {scenario.horizon}",
+        f"{seeds} workload seed{'s' if seeds > 1 else ''}",
+    ]
+    if scenario.warmup:
+        parts.append(f"first {scenario.warmup} slots left out")
+    return ", ".join(parts)
+
+
+def method_table(comparison: Comparison) -> Table:
+    """One row a method (and a bound): mean ± half width of the 95 % confidence interval of the main metrics."""
+    services = [key for key in comparison.metric_names() if key.startswith("aar/")]
+    shown: list[tuple[str, str, Callable[[float], str]]] = [
+        ("AAR", "aar", _share),
+        *((f"AAR {key.removeprefix('aar/')}", key, _share) for key in services),
+        ("ANUC $", "anuc", _amount),
+        ("cost/accepted $", "cost_per_accepted", _amount),
+        ("hops", "mean_hops", _amount),
+        ("delay ms", "mean_delay_ms", _amount),
+        ("VM use", "vm_utilisation", _share),
+        ("link use", "link_utilisation", _share),
+        ("decisions/s", "decisions_per_second", _amount),
+    ]
+    rows = [
+        (method, *(_cell(comparison.interval(method, key), form) for _, key, form in shown))
+        for method in comparison.methods
+    ]
+    blank = [UNDEFINED] * (len(shown) - 1)
+    rows += [(f"bound: {name}", _cell(comparison.bound(name), _share), *blank) for name in comparison.bounds]
+    title = "Mean and 95 % confidence interval over workload seeds"
+    return Table(title, ("method", *(head for head, _, _ in shown)), tuple(rows))
+
+
+def paired_table(comparison: Comparison, reference: str) -> Table:
+    """One row a method: difference of AAR to ``reference``, paired cost, share of the gap to each bound closed."""
+    columns = ("method", "AAR difference", "relative", "paired cost", *(f"gap closed: {b}" for b in comparison.bounds))
+    rows = []
+    for method in comparison.methods:
+        rows.append(
+            (
+                method,
+                *(_span(interval, form) for _, interval, form in _paired(comparison, method, reference)),
+                *(_span(comparison.gap_closed(method, bound), _percent) for bound in comparison.bounds),
+            )
+        )
+    title = f"Against {reference} on the same seeds: difference of AAR [95 % confidence interval], cost ratio over the"
+    return Table(f"{title} requests both accept", columns, tuple(rows))
+
+
+def _paired(
+    comparison: Comparison, method: str, reference: str
+) -> Iterator[tuple[str, Interval | None, Callable[[float], str]]]:
+    """Name in the summary, interval and format of each paired figure; nothing for the reference itself."""
+    same = method == reference
+    yield "aar_difference", None if same else comparison.difference(method, reference), _signed
+    yield "aar_relative_difference", None if same else comparison.relative_difference(method, reference), _percent
+    yield "paired_cost", None if same else comparison.paired_cost(method, reference), _share
+
+
+def write_summary(folder: str | os.PathLike[str], comparison: Comparison, reference: str | None = None) -> list[Path]:
+    """Write ``summary.csv`` (a row for each method and metric; paired figures name their ``reference``) and
+    ``per_seed.csv`` to ``folder``. An interval that is undefined is empty. Returns the two paths."""
+    paths = [Path(folder) / "summary.csv", Path(folder) / "per_seed.csv"]
+    scenario = comparison.scenario
+    about = (scenario.name, int(scenario.colocation), int(scenario.observe_lifetime))
+    summary = [
+        (method, metric, *_numbers(interval), against, *about)
+        for method, metric, interval, against in _summary_rows(comparison, reference)
+    ]
+    per_seed = [
+        (method, "" if seed is None else seed, metric, _number(value))
+        for method, runs in comparison.metrics.items()
+        for seed, run in runs.items()
+        for metric, value in run.items()
+    ]
+    write_atomically(paths[0], _csv(SUMMARY_COLUMNS, summary))
+    write_atomically(paths[1], _csv(PER_SEED_COLUMNS, per_seed))
+    return paths
+
+
+def _summary_rows(comparison: Comparison, reference: str | None) -> Iterator[tuple[str, str, Interval, str]]:
+    for method in comparison.methods:
+        for metric in comparison.metric_names():
+            yield method, metric, comparison.interval(method, metric), ""
+        for name, interval, _ in _paired(comparison, method, reference) if reference is not None else ():
+            if interval is not None:
+                yield method, name, interval, reference or ""
+        for bound in comparison.bounds:
+            closed = comparison.gap_closed(method, bound)
+            if closed is not None:
+                yield method, "gap_closed", closed, bound
+    for name in comparison.bounds:
+        yield name, "aar_bound", comparison.bound(name), ""
+
+
+def _csv(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def _numbers(interval: Interval) -> tuple[object, ...]:
+    return _number(interval.mean), _number(interval.low), _number(interval.high), interval.n
+
+
+def _number(value: float) -> object:
+    return "" if math.isnan(value) else value
+
+
+def _cell(interval: Interval, form: Callable[[float], str]) -> str:
+    """Mean ± half width."""
+    if math.isnan(interval.mean):
+        return UNDEFINED
+    half = interval.half_width
+    return f"{form(interval.mean)} ± {UNDEFINED if math.isnan(half) else form(half)}"
+
+
+def _span(interval: Interval | None, form: Callable[[float], str]) -> str:
+    """Estimate [low, high]: a paired interval need not be symmetric."""
+    if interval is None or math.isnan(interval.mean):
+        return UNDEFINED
+    ends = UNDEFINED if math.isnan(interval.low) else f"{form(interval.low)}, {form(interval.high)}"
+    return f"{form(interval.mean)} [{ends}]"
+
+
+def _share(value: float) -> str:
+    return f"{value:.3f}"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.4f}"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:+.1f} %"
+
+
+def _amount(value: float) -> str:
+    """About four digits, whatever the size."""
+    digits = 0 if abs(value) >= 1000 else 1 if abs(value) >= 100 else 2
+    return f"{value:,.{digits}f}"
+
+
+def _pad(line: Sequence[str], widths: Sequence[int]) -> str:
+    first, *others = (cell.ljust(width) if k == 0 else cell.rjust(width)
+                      for k, (cell, width) in enumerate(zip(line, widths, strict=True)))  # fmt: skip
+    return "  ".join([first, *others]).rstrip()
