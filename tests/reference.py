@@ -1,0 +1,475 @@
+"""A slow, obvious simulator to hold the compiled one against: dictionaries, whole numbers, no arrays, no shared code.
+
+It follows Algorithm 3 of the paper line by line for a single network. Amounts are whole bit/s and cycles/s, delays are
+in ms and costs in $. Read it to learn what the model is; do not read the compiled simulator while changing it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+TOLERANCE_MS = 1e-9
+
+LINK_CAPACITY = "link_capacity"
+VM_CAPACITY = "vm_capacity"
+DELAY = "delay"
+STEP_LIMIT = "step_limit"
+NO_FEASIBLE_ACTION = "no_feasible_action"
+REJECTED_BY_POLICY = "rejected_by_policy"
+INVALID_ACTION = "invalid_action"
+
+
+def units(*factors) -> int:
+    """The product of decimal numbers in Mbit/s or Mcycles/s, as whole bit/s or cycles/s."""
+    product = Fraction(10**6)
+    for factor in factors:
+        product *= Fraction(repr(float(factor)))
+    return round(product)
+
+
+def decode(action: int, vms: int) -> tuple[int, int, bool]:
+    """(node, VM, place?) of an action that is not ``reject``."""
+    node, rest = divmod(action, 2 * vms)
+    return node, rest // 2, rest % 2 == 1
+
+
+@dataclass
+class Service:
+    """One service type: what each function of its chain takes."""
+
+    rate: float  # Mbit/s
+    rate_units: int
+    loads: list[float]  # Mcycles/s, in the order of the chain
+    load_units: list[int]
+    tolerable_delay: float  # ms
+
+
+@dataclass
+class Request:
+    """One arrival, and what it holds while it runs."""
+
+    index: int
+    slot: int
+    service: int
+    ingress: int
+    egress: int
+    departure: int
+    vm_use: dict = field(default_factory=dict)  # (node, vm) -> cycles/s
+    link_use: dict = field(default_factory=dict)  # link -> bit/s
+    cost: float = 0.0
+    steps: list = field(default_factory=list)  # [node, vm, function index or None]
+    interrupted_at: int | None = None
+
+
+class ReferenceSimulator:
+    """One network, one workload, one action a step.
+
+    ``timeline`` is a failure timeline (``slot``, ``resource``, ``up``, in the order applied) or None.
+    """
+
+    def __init__(self, scenario, workload, timeline=None):
+        self.scenario = scenario
+        self._read_substrate(scenario.substrate)
+        self._read_catalogue(scenario.catalogue)
+        self.requests = [self._read_request(workload, index) for index in range(len(workload.slot))]
+        self.events: dict[int, list[tuple[int, bool]]] = {}
+        if timeline is not None:
+            for slot, resource, up in zip(timeline.slot, timeline.resource, timeline.up, strict=True):
+                self.events.setdefault(int(slot), []).append((int(resource), bool(up)))
+        # What is reserved now, by running requests and by the walk under way.
+        self.vm_reserved = dict.fromkeys(self.vm_capacity, 0)
+        self.link_reserved = dict.fromkeys(self.link_capacity, 0)
+        self.failed: set[int] = set()
+        self.running: list[Request] = []
+        self.interrupted: list[Request] = []
+        self.slot = 0
+        self.cursor = 0
+        self.done = False
+        self._begin_walk()
+        self._open_slot()
+        # Phi_t of the slots that passed before the first request came.
+        self.slots_closed_at_start = self._advance()
+
+    # ---- what does not change -------------------------------------------------------------------------------------
+
+    def _read_substrate(self, substrate) -> None:
+        self.nodes = len(substrate.vm_count)
+        self.vms = len(substrate.vm_capacity[0])
+        self.vm_capacity, self.vm_speed, self.vm_unit_cost = {}, {}, {}
+        for node in range(self.nodes):
+            for vm in range(int(substrate.vm_count[node])):
+                self.vm_capacity[node, vm] = units(substrate.vm_capacity[node][vm])
+                self.vm_speed[node, vm] = float(substrate.vm_capacity[node][vm])
+                self.vm_unit_cost[node, vm] = float(substrate.vm_unit_cost[node][vm])
+        self.link_between, self.link_capacity, self.link_speed = {}, {}, {}
+        self.link_delay, self.link_unit_cost = {}, {}
+        for link, (u, v) in enumerate(substrate.links):
+            self.link_between[int(u), int(v)] = self.link_between[int(v), int(u)] = link
+            self.link_capacity[link] = units(substrate.link_capacity[link])
+            self.link_speed[link] = float(substrate.link_capacity[link])
+            self.link_delay[link] = float(substrate.link_delay[link])
+            self.link_unit_cost[link] = float(substrate.link_unit_cost[link])
+
+    def _read_catalogue(self, catalogue) -> None:
+        self.services = []
+        for kind in catalogue.types:
+            requirements = [catalogue.vnfs[name] for name in kind.chain]
+            self.services.append(
+                Service(
+                    rate=kind.rate,
+                    rate_units=units(kind.rate),
+                    loads=[requirement * kind.rate for requirement in requirements],
+                    load_units=[units(requirement, kind.rate) for requirement in requirements],
+                    tolerable_delay=kind.tolerable_delay,
+                )
+            )
+        self.longest_chain = max(len(service.loads) for service in self.services)
+        self.delay_to = [self._shortest_delays(service) for service in range(len(self.services))]
+
+    def _read_request(self, workload, index: int) -> Request:
+        slot = int(workload.slot[index])
+        return Request(
+            index=index,
+            slot=slot,
+            service=int(workload.service[index]),
+            ingress=int(workload.ingress[index]),
+            egress=int(workload.egress[index]),
+            departure=slot + max(1, math.ceil(workload.lifetime[index])),
+        )
+
+    def hop_delay(self, service: int, link: int) -> float:
+        """Propagation and transmission of one hop, ms."""
+        return self.link_delay[link] + 1000.0 * self.services[service].rate / self.link_speed[link]
+
+    def _shortest_delays(self, service: int) -> dict[tuple[int, int], float]:
+        """Least sum of hop delays between any two nodes (Floyd and Warshall)."""
+        everywhere = range(self.nodes)
+        best = {(a, b): 0.0 if a == b else math.inf for a in everywhere for b in everywhere}
+        for (a, b), link in self.link_between.items():
+            best[a, b] = self.hop_delay(service, link)
+        for middle in everywhere:
+            for a in everywhere:
+                for b in everywhere:
+                    best[a, b] = min(best[a, b], best[a, middle] + best[middle, b])
+        return best
+
+    # ---- what is available ----------------------------------------------------------------------------------------
+
+    def vm_available(self, node: int, vm: int) -> int:
+        """cycles/s that VM ``vm`` of ``node`` offers now."""
+        if node * self.vms + vm in self.failed:
+            return 0
+        return self.vm_capacity[node, vm] - self.vm_reserved[node, vm]
+
+    def link_available(self, link: int) -> int:
+        """bit/s that ``link`` offers now."""
+        if self.nodes * self.vms + link in self.failed:
+            return 0
+        return self.link_capacity[link] - self.link_reserved[link]
+
+    # ---- slots ----------------------------------------------------------------------------------------------------
+
+    def _open_slot(self) -> None:
+        """Departures, then the slot's repairs and failures."""
+        for request in list(self.running):
+            if request.departure <= self.slot:
+                self._release(request)
+        for resource, up in self.events.get(self.slot, []):
+            if up:
+                self.failed.discard(resource)
+            else:
+                self.failed.add(resource)
+                self._interrupt_users_of(resource)
+
+    def _interrupt_users_of(self, resource: int) -> None:
+        for request in list(self.running):
+            used = {node * self.vms + vm for node, vm in request.vm_use}
+            used |= {self.nodes * self.vms + link for link in request.link_use}
+            if resource in used:
+                request.interrupted_at = self.slot
+                self.interrupted.append(request)
+                self._release(request)
+
+    def _release(self, request: Request) -> None:
+        self.running.remove(request)
+        self._give_back(request)
+
+    def _give_back(self, request: Request) -> None:
+        for key, amount in request.vm_use.items():
+            self.vm_reserved[key] -= amount
+        for link, amount in request.link_use.items():
+            self.link_reserved[link] -= amount
+
+    @property
+    def running_cost(self) -> float:
+        """Sum of phi over the requests running now, $."""
+        return math.fsum(request.cost for request in self.running)
+
+    def _advance(self) -> list[float]:
+        """Go on to the next request, closing slots on the way; to the end of the horizon if there is none."""
+        closed = []
+        while not self.done and (self.cursor == len(self.requests) or self.requests[self.cursor].slot > self.slot):
+            closed.append(self.running_cost)
+            if self.slot == self.scenario.horizon - 1:
+                self.done = True
+            else:
+                self.slot += 1
+                self._open_slot()
+        self._begin_walk()
+        return closed
+
+    # ---- the walk of one request ----------------------------------------------------------------------------------
+
+    @property
+    def request(self) -> Request | None:
+        """The request to be answered, None at the end of the horizon."""
+        return None if self.done or self.cursor == len(self.requests) else self.requests[self.cursor]
+
+    def _begin_walk(self) -> None:
+        self.current_node = self.request.ingress if self.request else 0
+        self.function_index = 0
+        self.elapsed = 0.0
+        self.step_count = 0
+        self.hops = 0
+        self.last_vm = 0
+
+    @property
+    def reject(self) -> int:
+        """The action that refuses a request."""
+        return 2 * self.nodes * self.vms
+
+    def is_adjacent_action(self, action: int) -> bool:
+        """Is ``action`` in A_p, the paper's possible actions? (``reject`` aside.)"""
+        if self.request is None or not 0 <= action < self.reject:
+            return False
+        node, vm, place = decode(action, self.vms)
+        if (node, vm) not in self.vm_capacity:
+            return False
+        functions_left = self.function_index < len(self.services[self.request.service].loads)
+        if place and not functions_left:
+            return False
+        if node == self.current_node:
+            at_egress = self.current_node == self.request.egress
+            return place and (at_egress or self.scenario.colocation)
+        if self.current_node == self.request.egress:
+            return False
+        return (self.current_node, node) in self.link_between
+
+    def _step_parts(self, action: int):
+        """(VM or None, cycles/s), (link or None, bit/s), delay in ms, cost in $ of an action in A_p."""
+        node, vm, place = decode(action, self.vms)
+        service = self.services[self.request.service]
+        delay = cost = 0.0
+        link = machine = None
+        load = 0
+        if node != self.current_node:
+            link = self.link_between[self.current_node, node]
+            delay += self.hop_delay(self.request.service, link)
+            cost += self.link_unit_cost[link] * service.rate
+        if place:
+            machine = (node, vm)
+            load = service.load_units[self.function_index]
+            megacycles = service.loads[self.function_index]
+            delay += 1000.0 * megacycles / self.vm_speed[machine]
+            cost += self.vm_unit_cost[machine] * megacycles
+        return machine, load, link, service.rate_units, delay, cost
+
+    def failed_check(self, action: int) -> str | None:
+        """The first check of Algorithm 3 that an action in A_p fails, None if it passes them all."""
+        machine, load, link, rate, delay, _ = self._step_parts(action)
+        if link is not None and self.link_available(link) < rate:
+            return LINK_CAPACITY
+        if machine is not None and self.vm_available(*machine) < load:
+            return VM_CAPACITY
+        if self.elapsed + delay > self.services[self.request.service].tolerable_delay + TOLERANCE_MS:
+            return DELAY
+        if self.step_count + 1 > self.scenario.max_steps:
+            return STEP_LIMIT
+        return None
+
+    def _egress_within_reach(self, action: int) -> bool:
+        """Could the egress still be reached in time after ``action``, were every link free and processing instant?"""
+        node, _, _ = decode(action, self.vms)
+        delay = self._step_parts(action)[4]
+        still_to_go = self.delay_to[self.request.service][node, self.request.egress]
+        budget = self.services[self.request.service].tolerable_delay
+        return self.elapsed + delay + still_to_go <= budget + TOLERANCE_MS
+
+    def is_feasible_action(self, action: int) -> bool:
+        """Is ``action`` in A_p, passes every check, and leaves time to reach the egress?"""
+        if not self.is_adjacent_action(action):
+            return False
+        return self.failed_check(action) is None and self._egress_within_reach(action)
+
+    def is_offered(self, action: int) -> bool:
+        """Is ``action`` in the mask? (``reject`` aside.)"""
+        if self.scenario.mask == "adjacency":
+            return self.is_adjacent_action(action)
+        return self.is_feasible_action(action)
+
+    def mask(self) -> list[bool]:
+        """One flag for each action, ``reject`` last. Length 2*N*V + 1."""
+        offered = [self.is_offered(action) for action in range(self.reject)]
+        return [*offered, self.scenario.admission_control or not any(offered)]
+
+    def step(self, action: int) -> dict:
+        """Take ``action`` and say what came of it.
+
+        ``request_cost``, ``delay`` and ``hops`` (links used) are those of an accepted request, 0 otherwise;
+        ``slots_closed`` has Phi_t of each slot that ended, in order.
+        """
+        if self.done:
+            raise RuntimeError("the horizon has ended")
+        request = self.request
+        reason = self._refusal(action)
+        step_cost = 0.0
+        if reason is None:
+            step_cost = self._reserve(action)
+        chain = self.services[request.service].loads
+        accepted = reason is None and self.current_node == request.egress and self.function_index == len(chain)
+        result = {
+            "passed": reason is None,
+            "reason": reason,
+            "request_done": accepted or reason is not None,
+            "accepted": accepted,
+            "step_cost": step_cost,
+            "request_cost": request.cost if accepted else 0.0,
+            "delay": self.elapsed if accepted else 0.0,
+            "hops": self.hops if accepted else 0,
+            "slots_closed": [],
+        }
+        if accepted:
+            self.running.append(request)
+        if reason is not None:
+            self._give_back(request)
+        if result["request_done"]:
+            self.cursor += 1
+            result["slots_closed"] = self._advance()
+        result["done"] = self.done
+        return result
+
+    def _refusal(self, action: int) -> str | None:
+        if action == self.reject:
+            if not any(self.mask()[:-1]):
+                return NO_FEASIBLE_ACTION
+            return REJECTED_BY_POLICY if self.scenario.admission_control else INVALID_ACTION
+        if not self.is_offered(action):
+            return INVALID_ACTION
+        return self.failed_check(action)
+
+    def _reserve(self, action: int) -> float:
+        """Take what ``action`` needs, move on, and return the step's cost."""
+        request = self.request
+        node, vm, _ = decode(action, self.vms)
+        machine, load, link, rate, delay, cost = self._step_parts(action)
+        if link is not None:
+            self.link_reserved[link] += rate
+            request.link_use[link] = request.link_use.get(link, 0) + rate
+            self.hops += 1
+        if machine is not None:
+            self.vm_reserved[machine] += load
+            request.vm_use[machine] = request.vm_use.get(machine, 0) + load
+        request.steps.append([node, vm, None if machine is None else self.function_index])
+        request.cost += cost
+        self.function_index += machine is not None
+        self.current_node = node
+        self.last_vm = vm
+        self.elapsed += delay
+        self.step_count += 1
+        return cost
+
+    # ---- what a method sees ---------------------------------------------------------------------------------------
+
+    def observation(self) -> list[float]:
+        """The paper's P_i: used shares of VMs and links, then five numbers about the walk, all in [0, 1]."""
+        shares = []
+        for node in range(self.nodes):
+            for vm in range(self.vms):
+                if (node, vm) in self.vm_capacity:
+                    capacity = self.vm_capacity[node, vm]
+                    shares.append(used_share(capacity, self.vm_available(node, vm)))
+                else:
+                    shares.append(0.0)
+        for link, capacity in self.link_capacity.items():
+            shares.append(used_share(capacity, self.link_available(link)))
+        if self.request is None:
+            return shares + [0.0] * 5
+        return [
+            *shares,
+            self._service_share(),
+            share(self.current_node, self.nodes - 1),
+            share(self.last_vm, self.vms - 1),
+            share(self.function_index, self.longest_chain),
+            share(self.elapsed, self.services[self.request.service].tolerable_delay),
+        ]
+
+    def _service_share(self) -> float:
+        """Index of the service among the K services of the scenario, scaled to [0, 1]."""
+        kind = self.request.service
+        if self.scenario.endpoints == "uniform":
+            return share(kind, len(self.services) - 1)
+        pairs = [[(int(a), int(b)) for a, b in of_kind] for of_kind in self.scenario.endpoint_pairs]
+        each = len(pairs[0])
+        place = pairs[kind].index((self.request.ingress, self.request.egress))
+        return share(kind * each + place, len(pairs) * each - 1)
+
+
+def used_share(capacity: int, available: int) -> float:
+    """floor(I * (capacity - available) / capacity) / I with I = 1000."""
+    return (1000 * (capacity - available) // capacity) / 1000
+
+
+def share(value: float, largest: float) -> float:
+    """``value`` scaled to [0, 1]; 0 where there is only one value."""
+    return value / largest if largest else 0.0
+
+
+def cheapest_walk(simulator: ReferenceSimulator) -> tuple[float, list[int]] | None:
+    """Cost and actions of the cheapest way to embed the request that waits, by trying every walk; None if none fits.
+
+    Slow beyond a handful of nodes. Of walks with the same cost the shortest is kept, then the first in the order of
+    actions. Whatever the scenario's mask, no walk is kept that fails a check.
+    """
+    best: tuple[float, list[int]] | None = None
+    request = simulator.request
+    chain = simulator.services[request.service].loads
+
+    def extend(actions: list[int]) -> None:
+        nonlocal best
+        if best is not None:
+            tie = abs(request.cost - best[0]) <= 1e-9
+            if (tie and len(actions) >= len(best[1])) or (not tie and request.cost > best[0]):
+                return
+        if simulator.current_node == request.egress and simulator.function_index == len(chain):
+            best = (request.cost, actions)
+            return
+        for action in range(simulator.reject):
+            if simulator.is_feasible_action(action):
+                before = _remember(simulator)
+                simulator._reserve(action)
+                extend([*actions, action])
+                _recall(simulator, before)
+
+    extend([])
+    return best
+
+
+_WALK = ("current_node", "function_index", "elapsed", "step_count", "hops", "last_vm")
+
+
+def _remember(simulator: ReferenceSimulator) -> tuple:
+    request = simulator.request
+    books = (simulator.vm_reserved, simulator.link_reserved, request.vm_use, request.link_use)
+    walk = {name: getattr(simulator, name) for name in _WALK}
+    return walk, request.cost, list(request.steps), [dict(book) for book in books]
+
+
+def _recall(simulator: ReferenceSimulator, before: tuple) -> None:
+    walk, cost, steps, books = before
+    request = simulator.request
+    for name, value in walk.items():
+        setattr(simulator, name, value)
+    request.cost, request.steps = cost, steps
+    simulator.vm_reserved, simulator.link_reserved, request.vm_use, request.link_use = books
