@@ -34,6 +34,20 @@ def write_atomically(path: str | os.PathLike[str], content: str | bytes) -> None
         raise
 
 
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of ``path``.
+
+    Raises:
+        ScenarioError: the file is missing or unreadable.
+    """
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError as error:
+        raise ScenarioError(f"{path}: no such file; check the path (relative to {Path.cwd()})") from error
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read ({error.strerror}); give a readable file") from error
+
+
 def read_text(path: str | os.PathLike[str]) -> str:
     """The text of ``path`` (UTF-8, a byte order mark is dropped).
 
@@ -41,11 +55,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
         ScenarioError: the file is missing, unreadable or not UTF-8.
     """
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise ScenarioError(f"{path}: no such file; check the path (relative to {Path.cwd()})") from error
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+        return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ScenarioError(f"{path}: is not UTF-8 text (byte {error.start}); convert or replace the file") from error
 

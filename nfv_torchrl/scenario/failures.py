@@ -57,26 +57,66 @@ class FailureTimeline:
         """The timeline on which nothing fails."""
         return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, bool))
 
-    def to_lists(self) -> dict[str, list[Any]]:
-        """The three columns as plain lists, for JSON."""
-        return {"slot": self.slot.tolist(), "resource": self.resource.tolist(), "up": self.up.tolist()}
+    def to_events(self, substrate: Substrate) -> list[dict[str, Any]]:
+        """For JSON: each a ``slot``, an ``event`` (``repair``, ``failure``) and a ``vm`` [node, VM] or ``link`` [u, v]."""
+        events = []
+        vms = substrate.num_nodes * substrate.max_vms
+        for slot, resource, up in zip(self.slot.tolist(), self.resource.tolist(), self.up.tolist(), strict=True):
+            event: dict[str, Any] = {"slot": slot, "event": "repair" if up else "failure"}
+            if resource < vms:
+                event["vm"] = list(divmod(resource, substrate.max_vms))
+            else:
+                event["link"] = substrate.links[resource - vms].tolist()
+            events.append(event)
+        return events
 
     @classmethod
-    def from_lists(cls, data: Any, source: str = "failure timeline") -> FailureTimeline:
-        """The inverse of :meth:`to_lists`.
+    def from_events(cls, events: Any, substrate: Substrate, source: str = "failure_timeline") -> FailureTimeline:
+        """The inverse of :meth:`to_events`.
 
         Raises:
-            ScenarioError: a column is missing or not a list of the right kind, or their lengths differ.
+            ScenarioError: an entry is no such event, is out of order, names what the substrate does not have, repairs
+                what works or fails what has failed.
         """
-        columns = {name: data.get(name) if isinstance(data, dict) else None for name in ("slot", "resource", "up")}
-        for name, column in columns.items():
-            kind = bool if name == "up" else int
-            if not isinstance(column, list) or any(type(value) is not kind for value in column):
-                raise ScenarioError(f"{source}: {name!r} must be a list of {kind.__name__}; write the file again")
-        if len({len(column) for column in columns.values() if column is not None}) != 1:
-            raise ScenarioError(f"{source}: 'slot', 'resource' and 'up' differ in length; write the file again")
-        slot, resource = (np.array(columns[name], np.int64) for name in ("slot", "resource"))
-        return cls(slot, resource, np.array(columns["up"], bool))
+        if not isinstance(events, list):
+            raise ScenarioError(f"{source}: must be a list of events; write the file again")
+        indices = _resource_indices(substrate)
+        rows: list[tuple[int, bool, int]] = []
+        down: set[int] = set()
+        for place, event in enumerate(events):
+            where = f"{source}, entry {place}"
+            slot, up, resource = _parse_event(event, indices, where)
+            if rows and (slot, not up) < (rows[-1][0], not rows[-1][1]):
+                raise ScenarioError(f"{where}: is out of order; sort by slot, repairs before failures")
+            if up != (resource in down):
+                raise ScenarioError(f"{where}: {event} changes nothing: it {'works' if up else 'has failed'} already")
+            (down.discard if up else down.add)(resource)
+            rows.append((slot, up, resource))
+        columns = zip(*rows, strict=True) if rows else ((), (), ())
+        slots, ups, resources = columns
+        return cls(np.array(slots, np.int64), np.array(resources, np.int64), np.array(ups, bool))
+
+
+def _resource_indices(substrate: Substrate) -> dict[tuple[str, int, int], int]:
+    """Index of every existing resource by ("vm", node, VM) or ("link", u, v)."""
+    width = substrate.max_vms
+    vms = {
+        ("vm", node, vm): node * width + vm
+        for node, count in enumerate(substrate.vm_count.tolist())
+        for vm in range(count)
+    }
+    first = substrate.num_nodes * width
+    return vms | {("link", u, v): first + link for link, (u, v) in enumerate(substrate.links.tolist())}
+
+
+def _parse_event(event: Any, indices: dict[tuple[str, int, int], int], where: str) -> tuple[int, bool, int]:
+    """Slot, whether it is a repair, and the resource's index."""
+    if isinstance(event, dict) and event.get("event") in ("repair", "failure") and type(event.get("slot")) is int:
+        for kind in ("vm", "link"):
+            match event.get(kind):
+                case [int(first), int(second)] if event["slot"] >= 0 and (kind, first, second) in indices:
+                    return event["slot"], event["event"] == "repair", indices[kind, first, second]
+    raise ScenarioError(f"{where}: {event!r} is no repair or failure of a VM or link of the substrate")
 
 
 def sample_timeline(

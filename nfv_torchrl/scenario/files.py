@@ -1,0 +1,128 @@
+"""``scenario.json``: what a run's other files lack; and a run's folder read back."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.files import read_json
+from nfv_torchrl.scenario.config import ScenarioConfig, parse_config
+from nfv_torchrl.scenario.failures import FailureTimeline
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.services import ServiceCatalogue
+from nfv_torchrl.scenario.substrate import Substrate
+from nfv_torchrl.scenario.workload import Workload
+
+# Attributes of a scenario that its JSON holds as they are; config keys of the same names.
+PLAIN_KEYS = (
+    "name",
+    "horizon",
+    "warmup",
+    "arrival_rate",
+    "mean_lifetime",
+    "endpoints",
+    "colocation",
+    "mask",
+    "admission_control",
+    "observe_lifetime",
+    "max_steps",
+)
+OTHER_KEYS = ("method", "seeds", "endpoint_pairs", "workload_path", "vnfs", "services", "failures", "failure_timeline")
+
+
+class RunFolder(NamedTuple):
+    """What a run's folder says about the world it ran in."""
+
+    scenario: Scenario
+    workload: Workload
+    timeline: FailureTimeline
+    method: str
+    workload_seed: int | None
+
+
+def scenario_to_json(
+    scenario: Scenario, *, workload_seed: int | None, method: str, timeline: FailureTimeline
+) -> dict[str, Any]:
+    """All of a run but its substrate, workload and decisions, as JSON values.
+
+    Args:
+        scenario: what was run.
+        workload_seed: seed of its workload, None if that came from elsewhere.
+        method: name of what decided.
+        timeline: the failures and repairs that were applied.
+    """
+    pairs, catalogue = scenario.endpoint_pairs, scenario.catalogue
+    return {
+        "method": method,
+        "seeds": {"scenario": scenario.seed, "workload": workload_seed},
+        **{key: getattr(scenario, key) for key in PLAIN_KEYS},
+        "endpoint_pairs": None if pairs is None else pairs.tolist(),
+        "workload_path": None if scenario.workload_path is None else str(scenario.workload_path),
+        "vnfs": dict(catalogue.vnfs),
+        "services": [{**dataclasses.asdict(service), "chain": list(service.chain)} for service in catalogue.types],
+        "failures": dataclasses.asdict(scenario.failures),
+        "failure_timeline": timeline.to_events(scenario.substrate),
+    }
+
+
+def read_run_folder(folder: str | os.PathLike[str]) -> RunFolder:
+    """The scenario, workload and failures of a folder with ``scenario.json``, ``substrate.json``, ``workload.csv``.
+
+    The scenario is as it was, to the bit; if its workload came from a file, that file is now the folder's.
+
+    Raises:
+        ScenarioError: a file is missing or wrong; the message names it.
+    """
+    path = Path(folder) / "scenario.json"
+    data = read_json(path)
+    _check_keys(data, path)
+    substrate = Substrate.from_json(Path(folder) / "substrate.json")
+    try:
+        scenario = _scenario(data, substrate)
+        timeline = FailureTimeline.from_events(data["failure_timeline"], substrate)
+    except ScenarioError as error:
+        raise ScenarioError(f"{path}: {error}") from error
+    requests = Path(folder) / "workload.csv"
+    # Of few slots a sampled workload may be empty.
+    workload = Workload.from_csv(requests, scenario.catalogue, substrate, scenario.horizon, allow_empty=True)
+    if data["workload_path"] is not None:
+        scenario = scenario.replace(workload_path=str(requests))
+    return RunFolder(scenario, workload, timeline, data["method"], data["seeds"].get("workload"))
+
+
+def _check_keys(data: dict[str, Any], path: Path) -> None:
+    known = (*PLAIN_KEYS, *OTHER_KEYS)
+    for key in known:
+        if key not in data:
+            raise ScenarioError(f"{path}: {key!r} is missing; write the file again")
+    for key in data:
+        if key not in known:
+            raise ScenarioError(f"{path}: {key!r} is unknown; known keys: {', '.join(known)}")
+    seeds = data["seeds"]
+    if not isinstance(seeds, dict) or "scenario" not in seeds or not isinstance(data["method"], str):
+        raise ScenarioError(f"{path}: 'seeds' must hold 'scenario' and 'workload', 'method' a name")
+
+
+def _scenario(data: dict[str, Any], substrate: Substrate) -> Scenario:
+    config: ScenarioConfig = parse_config(
+        {key: data[key] for key in (*PLAIN_KEYS, "vnfs", "services", "failures")} | {"seed": data["seeds"]["scenario"]}
+    )
+    pairs = None
+    if data["endpoint_pairs"] is not None:
+        try:
+            pairs = np.array(data["endpoint_pairs"], np.int64)
+        except (TypeError, ValueError) as error:
+            raise ScenarioError(f"endpoint_pairs: is no table of nodes ({error})") from error
+    return Scenario(
+        seed=config.seed,
+        substrate=substrate,
+        catalogue=ServiceCatalogue(types=tuple(config.services.values()), vnfs=config.vnfs),
+        endpoint_pairs=pairs,
+        failures=config.failures,
+        **{key: getattr(config, key) for key in PLAIN_KEYS},
+    )
