@@ -1,0 +1,190 @@
+"""The cheapest feasible embedding of one request at given prices, exactly."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from nfv_torchrl.planners.labels import (
+    FOUND,
+    Critical,
+    Labels,
+    add_overused,
+    begin_request,
+    make_critical,
+    make_labels,
+    search_labels,
+)
+from nfv_torchrl.planners.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go
+from nfv_torchrl.planners.walks import OVERFLOW, Walk, encode_walk, make_problem, make_walk, walk_totals
+from nfv_torchrl.simulator.tables import Tables
+
+POOL = 4096
+COLUMNS = 8
+
+
+class Scratch(NamedTuple):
+    """What ``plan_cheapest`` writes to while it works; one for each thread."""
+
+    cost: ToGo
+    delay: ToGo
+    labels: Labels
+    critical: Critical
+    walk: Walk
+    vm_price: np.ndarray  # float64 [N, V], for callers that compute prices
+    link_price: np.ndarray  # float64 [L]
+    result: np.ndarray  # float64 [3]: priced cost ($), true cost ($), delay (ms) of the last plan; inf if none
+    rounds: np.ndarray  # int64 [4]: requests that needed no, one, two, more label searches
+
+
+def make_scratch(tables: Tables, pool: int = POOL, columns: int = COLUMNS) -> Scratch:
+    """Scratch arrays for any network and service of ``tables``.
+
+    Args:
+        tables: the simulator's tables.
+        pool: labels that a search may hold.
+        columns: critical resources that a search may track.
+    """
+    _, nodes, vms = tables.vm_capacity.shape
+    links = tables.link_capacity.shape[1]
+    functions = tables.load.shape[1]
+    return Scratch(
+        cost=make_to_go(nodes, links, functions),
+        delay=make_to_go(nodes, links, functions),
+        labels=make_labels(nodes, functions, max(pool, 2 * vms + 2), columns),
+        critical=make_critical(nodes, vms, links, functions, columns),
+        # A walk that repeats no node between two placements is no longer than this.
+        walk=make_walk((functions + 1) * (nodes + 1) + functions),
+        vm_price=np.zeros((nodes, vms)),
+        link_price=np.zeros(links),
+        result=np.full(3, np.inf),
+        rounds=np.zeros(4, np.int64),
+    )
+
+
+def grow_scratch(tables: Tables, scratch: Scratch) -> Scratch:
+    """Twice the labels and twice the critical resources of ``scratch``."""
+    grown = make_scratch(tables, 2 * scratch.labels.cost.size, 2 * scratch.critical.resource.size)
+    grown.rounds[:] = scratch.rounds
+    return grown
+
+
+@njit(cache=True, nogil=True)
+def plan_cheapest(
+    tables,
+    rules,
+    net,
+    vm_offered,
+    link_offered,
+    vm_unit_price,
+    link_unit_price,
+    service,
+    ingress,
+    egress,
+    scratch,
+    plan,
+):
+    """Find the walk of least priced cost among all that Algorithm 3 of the paper would accept.
+
+    A walk may cross a link and use a VM several times as long as the sums fit what is offered. Exact: no feasible walk
+    is cheaper at the given prices (but for rounding).
+
+    Args:
+        tables: ``Tables`` of the simulator.
+        rules: ``Rules`` of the scenario; colocation and max_steps matter here.
+        net: row of the tables.
+        vm_offered: ledger units available now, int64 [N, V].
+        link_offered: ledger units available now, int64 [L].
+        vm_unit_price: $ per Mcycles/s, any non-negative numbers, float64 [N, V].
+        link_unit_price: $ per Mbit/s, any non-negative numbers, float64 [L].
+        service: row of the catalogue.
+        ingress: node where the walk starts.
+        egress: node where it ends.
+        scratch: ``Scratch`` of these tables. ``scratch.result`` tells priced cost, true cost and delay afterwards.
+        plan: receives the actions, int64 [max_steps].
+
+    Returns:
+        Number of actions, 0 if the request has no feasible walk, OVERFLOW (-1) if the scratch must grow.
+    """
+    problem = make_problem(
+        tables, rules, net, vm_offered, link_offered, vm_unit_price, link_unit_price, service, ingress, egress
+    )
+    scratch.result[:] = np.inf
+    steps = _cheapest_walk(problem, tables.num_links[net], scratch)
+    if steps <= 0:
+        return steps
+    encode_walk(scratch.walk, steps, vm_offered.shape[1], plan)
+    scratch.result[0], scratch.result[2] = walk_totals(problem, scratch.walk, steps, vm_unit_price, link_unit_price)
+    scratch.result[1] = walk_totals(
+        problem, scratch.walk, steps, tables.vm_unit_cost[net], tables.link_unit_cost[net]
+    )[0]
+    return steps
+
+
+@njit(cache=True, nogil=True)
+def _cheapest_walk(problem, links, scratch):
+    """Steps of the best walk, written to ``scratch.walk``.
+
+    The walk that is cheapest without delay limit and without counting repeated use is a by-product of the bounds; if
+    it happens to be feasible, it is the answer. Otherwise labels are searched, tracking the resources that the walk
+    before overused, until the walk found overuses none.
+    """
+    critical = scratch.critical
+    begin_request(problem, critical)
+    fill_cost_to_go(problem, links, scratch.cost)
+    if scratch.cost.value[0, problem.ingress] == np.inf:
+        return 0
+    steps = _follow(problem, scratch.cost, scratch.walk)
+    in_time = walk_totals(problem, scratch.walk, steps, problem.vm_price, problem.link_price)[1] <= problem.budget
+    outcome = _track(problem, scratch, steps)
+    if outcome == OVERFLOW:
+        return OVERFLOW
+    if outcome == 0 and in_time:
+        scratch.rounds[0] += 1
+        return steps
+    fill_delay_to_go(problem, links, scratch.delay)
+    searches = 0
+    while True:
+        searches += 1
+        found, steps = search_labels(
+            problem, scratch.cost.value, scratch.delay.value, scratch.labels, critical, scratch.walk
+        )
+        if found == OVERFLOW:
+            return OVERFLOW
+        outcome = _track(problem, scratch, steps) if found == FOUND else 0
+        if outcome == OVERFLOW:
+            return OVERFLOW
+        if outcome == 0:
+            scratch.rounds[min(searches, 3)] += 1
+            return steps
+
+
+@njit(cache=True, nogil=True)
+def _track(problem, scratch, steps):
+    """Make critical what the walk overused: resources, or the number of steps. 0 if nothing was."""
+    outcome = add_overused(problem, scratch.walk, steps, scratch.critical)
+    if steps > problem.max_steps:
+        scratch.critical.count[1] = 1
+        return 1 if outcome == 0 else outcome
+    return outcome
+
+
+@njit(cache=True, nogil=True)
+def _follow(problem, to_go, walk):
+    """The walk that the bounds describe."""
+    node = problem.ingress
+    i = 0
+    steps = 0
+    while node != problem.egress or i < problem.functions:
+        after = to_go.node[i, node]
+        walk.node[steps] = after
+        walk.link[steps] = to_go.link[i, node]
+        walk.vm[steps] = -1
+        if to_go.places[i, node]:
+            walk.vm[steps] = to_go.place_vm[i, after]
+            i += 1
+        node = after
+        steps += 1
+    return steps

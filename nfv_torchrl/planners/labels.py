@@ -1,0 +1,373 @@
+"""Exact label-setting search over (node, functions placed) with cost, delay and the use of scarce resources.
+
+A label is a walk from the ingress. One label dominates another at the same node and function when it is no worse in
+cost and delay and leaves at least as much of every *critical* resource, one that an earlier round of the search was
+found to have used beyond what is offered. With no critical resource that is the usual shortest path problem with a
+resource constraint; adding resources only where they were overused keeps the search small and exact (decremental state
+space relaxation, Righini and Salani 2008).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from nfv_torchrl.planners.walks import OVERFLOW
+from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
+
+FOUND = 1
+NONE = 0
+
+
+class Critical(NamedTuple):
+    """Resources whose use within one walk is tracked: VM v of node n is n * V + v, link l is N * V + l."""
+
+    count: np.ndarray  # int64 [2]: how many; 1 if the number of steps is tracked too
+    resource: np.ndarray  # int64 [C]
+    column: np.ndarray  # int64 [N * V + L], place among the critical ones, -1: not critical
+    used: np.ndarray  # int64 [N * V + L], scratch, all zero between uses
+    tail: np.ndarray  # int64 [F + 1], ledger units that the functions from i on take together
+
+
+class Labels(NamedTuple):
+    """Pool of P labels, the lists of labels of each (node, function) and the heap of open ones."""
+
+    cost: np.ndarray  # float64 [P]
+    delay: np.ndarray  # float64 [P], ms
+    node: np.ndarray  # int64 [P]
+    placed: np.ndarray  # int64 [P], functions placed
+    steps: np.ndarray  # int64 [P]
+    parent: np.ndarray  # int64 [P]
+    link: np.ndarray  # int64 [P], link of the last step, -1: none
+    vm: np.ndarray  # int64 [P], VM of the last step, -1: only forwarded
+    following: np.ndarray  # int64 [P], next label of the same list
+    alive: np.ndarray  # bool [P]
+    usage: np.ndarray  # int64 [P, C], ledger units taken of the critical resources
+    first: np.ndarray  # int64 [F + 1, N], head of a list, -1: empty
+    heap_key: np.ndarray  # float64 [P]
+    heap_label: np.ndarray  # int64 [P]
+    size: np.ndarray  # int64 [2]: labels in the pool, labels in the heap
+
+
+def make_critical(nodes: int, vms: int, links: int, functions: int, columns: int) -> Critical:
+    """Scratch for at most ``columns`` critical resources."""
+    resources = nodes * vms + links
+    return Critical(
+        count=np.zeros(2, np.int64),
+        resource=np.zeros(columns, np.int64),
+        column=np.full(resources, -1),
+        used=np.zeros(resources, np.int64),
+        tail=np.zeros(functions + 1, np.int64),
+    )
+
+
+def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
+    """Scratch for at most ``pool`` labels."""
+    return Labels(
+        cost=np.zeros(pool),
+        delay=np.zeros(pool),
+        node=np.zeros(pool, np.int64),
+        placed=np.zeros(pool, np.int64),
+        steps=np.zeros(pool, np.int64),
+        parent=np.zeros(pool, np.int64),
+        link=np.zeros(pool, np.int64),
+        vm=np.zeros(pool, np.int64),
+        following=np.zeros(pool, np.int64),
+        alive=np.zeros(pool, np.bool_),
+        usage=np.zeros((pool, columns), np.int64),
+        first=np.zeros((functions + 1, nodes), np.int64),
+        heap_key=np.zeros(pool),
+        heap_label=np.zeros(pool, np.int64),
+        size=np.zeros(2, np.int64),
+    )
+
+
+@njit(cache=True, nogil=True)
+def begin_request(problem, critical):
+    """Forget the critical resources of the request before."""
+    for c in range(critical.count[0]):
+        critical.column[critical.resource[c]] = -1
+    critical.count[:] = 0
+    critical.tail[problem.functions] = 0
+    for i in range(problem.functions - 1, -1, -1):
+        critical.tail[i] = critical.tail[i + 1] + problem.load_units[i]
+
+
+@njit(cache=True, nogil=True)
+def offered_of(problem, resource):
+    """Ledger units that ``resource`` offers."""
+    nodes, vms = problem.vm_offered.shape
+    if resource >= nodes * vms:
+        return problem.link_offered[resource - nodes * vms]
+    return problem.vm_offered[resource // vms, resource % vms]
+
+
+@njit(cache=True, nogil=True)
+def add_overused(problem, walk, steps, critical):
+    """Mark every resource that the walk takes more of than is offered as critical.
+
+    Returns:
+        0 if nothing was overused, 1 if resources were added, OVERFLOW if there was no room for them.
+    """
+    nodes, vms = problem.vm_offered.shape
+    i = 0
+    outcome = 0
+    for j in range(steps):
+        if walk.link[j] >= 0:
+            critical.used[nodes * vms + walk.link[j]] += problem.rate_units
+        if walk.vm[j] >= 0:
+            critical.used[walk.node[j] * vms + walk.vm[j]] += problem.load_units[i]
+            i += 1
+    for j in range(steps):
+        for kind in range(2):
+            if kind == 0 and walk.link[j] >= 0:
+                resource = nodes * vms + walk.link[j]
+            elif kind == 1 and walk.vm[j] >= 0:
+                resource = walk.node[j] * vms + walk.vm[j]
+            else:
+                continue
+            if critical.used[resource] > offered_of(problem, resource):
+                column = critical.count[0]
+                if column < critical.resource.size:
+                    critical.resource[column] = resource
+                    critical.column[resource] = column
+                    critical.count[0] += 1
+                    outcome = 1 if outcome == 0 else outcome
+                else:
+                    outcome = OVERFLOW
+            critical.used[resource] = 0
+    return outcome
+
+
+@njit(cache=True, nogil=True)
+def search_labels(problem, cost_to_go, delay_to_go, labels, critical, walk):
+    """Cheapest walk within the delay that does not overuse a critical resource, into ``walk``.
+
+    Args:
+        cost_to_go: lower bounds in $, float64 [F + 1, N].
+        delay_to_go: lower bounds in ms, float64 [F + 1, N].
+
+    Returns:
+        (FOUND, steps), (NONE, 0) if there is no such walk, (OVERFLOW, 0) if the pool is too small.
+    """
+    labels.first[:] = -1
+    labels.size[:] = 0
+    label = _take(labels)
+    labels.cost[label] = 0.0
+    labels.delay[label] = 0.0
+    labels.node[label] = problem.ingress
+    labels.placed[label] = 0
+    labels.steps[label] = 0
+    labels.parent[label] = -1
+    for c in range(critical.count[0]):
+        labels.usage[label, c] = 0
+    _list_and_open(labels, label, cost_to_go[0, problem.ingress])
+    while labels.size[1] > 0:
+        label = _pop(labels)
+        if not labels.alive[label]:
+            continue
+        if labels.node[label] == problem.egress and labels.placed[label] == problem.functions:
+            return FOUND, _trace(labels, label, walk)
+        if not _expand(problem, cost_to_go, delay_to_go, labels, critical, label):
+            return OVERFLOW, 0
+    return NONE, 0
+
+
+@njit(cache=True, nogil=True)
+def _expand(problem, cost_to_go, delay_to_go, labels, critical, label):
+    """Open every step that can follow ``label``; False if the pool is full."""
+    node = labels.node[label]
+    i = labels.placed[label]
+    at_egress = node == problem.egress
+    # Room for all that one expansion can open, so that no check is needed below.
+    if labels.size[0] + problem.vm_count[node] >= labels.cost.size:
+        return False
+    if i < problem.functions and (at_egress or problem.colocation):
+        for vm in range(problem.vm_count[node]):
+            if problem.vm_offered[node, vm] >= problem.load_units[i]:
+                _open(problem, cost_to_go, delay_to_go, labels, critical, label, node, -1, vm)
+    if at_egress:
+        return True
+    for k in range(problem.degree[node]):
+        link = problem.neighbour_link[node, k]
+        after = problem.neighbour[node, k]
+        if problem.link_offered[link] < problem.rate_units:
+            continue
+        if labels.size[0] + problem.vm_count[after] + 1 >= labels.cost.size:
+            return False
+        if cost_to_go[i, after] < np.inf:
+            _open(problem, cost_to_go, delay_to_go, labels, critical, label, after, link, -1)
+        if i < problem.functions and cost_to_go[i + 1, after] < np.inf:
+            for vm in range(problem.vm_count[after]):
+                if problem.vm_offered[after, vm] >= problem.load_units[i]:
+                    _open(problem, cost_to_go, delay_to_go, labels, critical, label, after, link, vm)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _open(problem, cost_to_go, delay_to_go, labels, critical, parent, node, link, vm):
+    """Extend ``parent`` by one step unless the result is infeasible or dominated."""
+    i = labels.placed[parent]
+    placed = i + 1 if vm >= 0 else i
+    cost = labels.cost[parent]
+    step_delay = 0.0
+    if link >= 0:
+        cost += problem.link_price[link] * problem.rate
+        step_delay = problem.hop_delay[link]
+    if vm >= 0:
+        cost += problem.vm_price[node, vm] * problem.load[i]
+        step_delay += 1000.0 * problem.load[i] / problem.vm_speed[node, vm]
+    delay = labels.delay[parent] + step_delay
+    # The bound was summed in another order, so it gets the tolerance once more; the delay itself does not.
+    if delay > problem.budget or delay + delay_to_go[placed, node] > problem.budget + DELAY_TOLERANCE:
+        return
+    bound = cost + cost_to_go[placed, node]
+    if bound == np.inf:
+        return
+    steps = labels.steps[parent] + 1
+    if critical.count[1] > 0 and steps + problem.functions - placed > problem.max_steps:
+        return
+    label = labels.size[0]
+    labels.cost[label] = cost
+    labels.delay[label] = delay
+    labels.placed[label] = placed
+    labels.steps[label] = steps
+    if critical.count[0] > 0 and not _use(problem, labels, critical, parent, label, node, link, vm):
+        return
+    if not _keep(problem, labels, critical, label, node):
+        return
+    _take(labels)
+    labels.node[label] = node
+    labels.parent[label] = parent
+    labels.link[label] = link
+    labels.vm[label] = vm
+    _list_and_open(labels, label, bound)
+
+
+@njit(cache=True, nogil=True)
+def _use(problem, labels, critical, parent, label, node, link, vm):
+    """Book the step's use of critical resources; False if one of them has not enough left."""
+    for c in range(critical.count[0]):
+        labels.usage[label, c] = labels.usage[parent, c]
+    nodes, vms = problem.vm_offered.shape
+    if link >= 0:
+        c = critical.column[nodes * vms + link]
+        if c >= 0:
+            labels.usage[label, c] += problem.rate_units
+            if labels.usage[label, c] > problem.link_offered[link]:
+                return False
+    if vm >= 0:
+        c = critical.column[node * vms + vm]
+        if c >= 0:
+            labels.usage[label, c] += problem.load_units[labels.placed[parent]]
+            if labels.usage[label, c] > problem.vm_offered[node, vm]:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _keep(problem, labels, critical, label, node):
+    """False if a label of the same node and function dominates ``label``; those it dominates are dropped."""
+    placed = labels.placed[label]
+    before = -1
+    other = labels.first[placed, node]
+    while other >= 0:
+        after = labels.following[other]
+        if _dominates(problem, labels, critical, other, label):
+            return False
+        if _dominates(problem, labels, critical, label, other):
+            labels.alive[other] = False
+            if before < 0:
+                labels.first[placed, node] = after
+            else:
+                labels.following[before] = after
+        else:
+            before = other
+        other = after
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _dominates(problem, labels, critical, a, b):
+    """Whether every completion of label ``b`` also completes ``a``, no dearer."""
+    if labels.cost[a] > labels.cost[b] or labels.delay[a] > labels.delay[b]:
+        return False
+    if critical.count[1] > 0 and labels.steps[a] > labels.steps[b]:
+        return False
+    nodes, vms = problem.vm_offered.shape
+    placed = labels.placed[a]
+    for c in range(critical.count[0]):
+        if labels.usage[a, c] > labels.usage[b, c]:
+            resource = critical.resource[c]
+            # More than the rest of a walk can need is as good as unused. Between two placements a best walk visits
+            # no node twice before the hop that places, so it takes a link at most twice there, once after the last.
+            if resource >= nodes * vms:
+                need = (2 * (problem.functions - placed) + 1) * problem.rate_units
+            else:
+                need = critical.tail[placed]
+            if offered_of(problem, resource) - labels.usage[a, c] < need:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _trace(labels, label, walk):
+    """Steps that lead to ``label``, into ``walk``; returns their number."""
+    steps = labels.steps[label]
+    for j in range(steps - 1, -1, -1):
+        walk.node[j] = labels.node[label]
+        walk.link[j] = labels.link[label]
+        walk.vm[j] = labels.vm[label]
+        label = labels.parent[label]
+    return steps
+
+
+@njit(cache=True, nogil=True)
+def _take(labels):
+    label = labels.size[0]
+    labels.size[0] += 1
+    return label
+
+
+@njit(cache=True, nogil=True)
+def _list_and_open(labels, label, key):
+    """Put a new label at the head of its list and into the heap, where the least ``key`` comes first."""
+    node, placed = labels.node[label], labels.placed[label]
+    labels.alive[label] = True
+    labels.following[label] = labels.first[placed, node]
+    labels.first[placed, node] = label
+    hole = labels.size[1]
+    labels.size[1] += 1
+    while hole > 0:
+        above = (hole - 1) // 2
+        if labels.heap_key[above] <= key:
+            break
+        labels.heap_key[hole] = labels.heap_key[above]
+        labels.heap_label[hole] = labels.heap_label[above]
+        hole = above
+    labels.heap_key[hole] = key
+    labels.heap_label[hole] = label
+
+
+@njit(cache=True, nogil=True)
+def _pop(labels):
+    """Take the label with the least key out of the heap."""
+    top = labels.heap_label[0]
+    labels.size[1] -= 1
+    size = labels.size[1]
+    key, label = labels.heap_key[size], labels.heap_label[size]
+    hole = 0
+    while 2 * hole + 1 < size:
+        below = 2 * hole + 1
+        if below + 1 < size and labels.heap_key[below + 1] < labels.heap_key[below]:
+            below += 1
+        if labels.heap_key[below] >= key:
+            break
+        labels.heap_key[hole] = labels.heap_key[below]
+        labels.heap_label[hole] = labels.heap_label[below]
+        hole = below
+    labels.heap_key[hole] = key
+    labels.heap_label[hole] = label
+    return top

@@ -1,0 +1,207 @@
+"""Embeddings along one simple path: where functions may stand, what they cost, and the walk they make.
+
+A place is a position of the path (0 the ingress, ``hops`` the egress) and a VM of the node there. Positions of a chain
+never fall. Without colocation each node but the egress takes one function and the ingress none, because a function is
+placed with the hop into a node.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from nfv_torchrl.planners.paths import Candidates, Paths, grow_paths, make_candidates, make_paths, paths_between
+from nfv_torchrl.planners.walks import OVERFLOW, Walk, make_walk
+from nfv_torchrl.simulator.tables import Rules, Tables
+
+
+class Placing(NamedTuple):
+    """What ``greedy`` and ``tabu`` write to while they work; one for each thread."""
+
+    paths: Paths
+    candidates: Candidates
+    link_cost: np.ndarray  # float64 [k], $, of each path for the request in hand
+    link_delay: np.ndarray  # float64 [k], ms
+    lacking: np.ndarray  # int64 [k], links that cannot carry the request
+    position: np.ndarray  # int64 [k + 2, F], placement on each path; the last two rows are for callers
+    vm: np.ndarray  # int64 [k + 2, F]
+    used: np.ndarray  # int64 [V]
+    walk: Walk
+
+
+def make_placing(tables: Tables, rules: Rules, paths: int) -> Placing:
+    """Scratch for placements on ``paths`` paths a pair of nodes."""
+    nodes, vms = tables.vm_capacity.shape[1:]
+    functions = tables.load.shape[1]
+    return Placing(
+        paths=make_paths(tables, paths),
+        candidates=make_candidates(tables, paths),
+        link_cost=np.zeros(paths),
+        link_delay=np.zeros(paths),
+        lacking=np.zeros(paths, np.int64),
+        position=np.zeros((paths + 2, functions), np.int64),
+        vm=np.zeros((paths + 2, functions), np.int64),
+        used=np.zeros(vms, np.int64),
+        walk=make_walk(nodes + functions),
+    )
+
+
+def grow_placing(placing: Placing) -> Placing:
+    """Twice the room for paths."""
+    return placing._replace(paths=grow_paths(placing.paths))
+
+
+@njit(cache=True, nogil=True)
+def node_at(problem, paths, number, position):
+    """Node at ``position`` of path ``number``."""
+    if position == 0:
+        return problem.ingress
+    return paths.node[paths.start[number] + position - 1]
+
+
+@njit(cache=True, nogil=True)
+def first_position(problem, hops, before):
+    """First position that may take the function after the one at ``before`` (-1: the chain's first function)."""
+    if problem.colocation:
+        return max(before, 0)
+    return min(max(before, 0) + 1, hops)
+
+
+@njit(cache=True, nogil=True)
+def measure_path(problem, placing, number, j):
+    """Fill cost, delay and lacking links of path ``number``, the request's ``j``-th."""
+    paths = placing.paths
+    placing.link_cost[j] = 0.0
+    placing.link_delay[j] = 0.0
+    placing.lacking[j] = 0
+    for hop in range(paths.start[number], paths.start[number] + paths.hops[number]):
+        link = paths.link[hop]
+        placing.link_cost[j] += problem.link_price[link] * problem.rate
+        placing.link_delay[j] += problem.hop_delay[link]
+        if problem.link_offered[link] < problem.rate_units:
+            placing.lacking[j] += 1
+
+
+@njit(cache=True, nogil=True)
+def place_in_order(problem, placing, number, position, vm, heed_capacity):
+    """Each function in order on the cheapest VM that fits, from the position of the one before it on.
+
+    Args:
+        number: the path.
+        position: receives the positions, int64 [F].
+        vm: receives the VMs, int64 [F].
+        heed_capacity: False places as if every VM were empty and large.
+
+    Returns:
+        False if some function fits on no VM of the rest of the path.
+    """
+    paths, used = placing.paths, placing.used
+    hops = paths.hops[number]
+    before = -1
+    for i in range(problem.functions):
+        load = problem.load_units[i]
+        least = np.inf
+        for at in range(first_position(problem, hops, before), hops + 1):
+            node = node_at(problem, paths, number, at)
+            for v in range(problem.vm_count[node]):
+                own = used[v] if at == before else 0
+                if heed_capacity and problem.vm_offered[node, v] - own < load:
+                    continue
+                if problem.vm_price[node, v] < least:
+                    least = problem.vm_price[node, v]
+                    position[i] = at
+                    vm[i] = v
+        if least == np.inf:
+            return False
+        if position[i] != before:
+            used[:] = 0
+        before = position[i]
+        used[vm[i]] += load
+    return True
+
+
+@njit(cache=True, nogil=True)
+def judge(problem, placing, number, j, position, vm):
+    """Cost ($) of a placement on the request's ``j``-th path, and by how much it breaks the constraints (0: feasible).
+
+    The violation counts lacking links, overused shares of VMs, the share of the delay and the steps in excess.
+    """
+    paths = placing.paths
+    hops = paths.hops[number]
+    cost = placing.link_cost[j]
+    delay = placing.link_delay[j]
+    steps = hops
+    violation = float(placing.lacking[j])
+    for i in range(problem.functions):
+        node = node_at(problem, paths, number, position[i])
+        cost += problem.vm_price[node, vm[i]] * problem.load[i]
+        delay += 1000.0 * problem.load[i] / problem.vm_speed[node, vm[i]]
+        if position[i] == (position[i - 1] if i > 0 else 0):
+            steps += 1
+        taken = 0
+        for other in range(i + 1):
+            if position[other] == position[i] and vm[other] == vm[i]:
+                taken += problem.load_units[other]
+        over = taken - problem.vm_offered[node, vm[i]]
+        if over > 0:
+            violation += min(over, problem.load_units[i]) / problem.load_units[i]
+    if delay > problem.budget:
+        violation += delay / problem.budget - 1.0
+    if steps > problem.max_steps:
+        violation += steps - problem.max_steps
+    return cost, violation
+
+
+@njit(cache=True, nogil=True)
+def lay_walk(problem, placing, number, position, vm):
+    """Write the placement as a walk to ``placing.walk``; returns its steps."""
+    paths, walk = placing.paths, placing.walk
+    steps = 0
+    i = 0
+    for at in range(paths.hops[number] + 1):
+        if at > 0:
+            walk.node[steps] = node_at(problem, paths, number, at)
+            walk.link[steps] = paths.link[paths.start[number] + at - 1]
+            walk.vm[steps] = -1
+            if i < problem.functions and position[i] == at:
+                walk.vm[steps] = vm[i]
+                i += 1
+            steps += 1
+        while i < problem.functions and position[i] == at:
+            walk.node[steps] = node_at(problem, paths, number, at)
+            walk.link[steps] = -1
+            walk.vm[steps] = vm[i]
+            i += 1
+            steps += 1
+    return steps
+
+
+@njit(cache=True, nogil=True)
+def place_greedily(problem, tables, net, placing):
+    """Place the chain in order on each of the k paths.
+
+    Paths where the functions do not fit get the placement that ignores capacities, so that every row is defined.
+
+    Returns:
+        (row of ``paths``, the path with the cheapest feasible placement or -1); the row is OVERFLOW if there was no
+        room for the paths.
+    """
+    paths = placing.paths
+    row = paths_between(tables, net, problem.ingress, problem.egress, paths, placing.candidates)
+    if row == OVERFLOW:
+        return row, -1
+    best = -1
+    least = np.inf
+    for j in range(paths.found[row]):
+        number = row * placing.lacking.size + j
+        measure_path(problem, placing, number, j)
+        position, vm = placing.position[j], placing.vm[j]
+        if not place_in_order(problem, placing, number, position, vm, True):
+            place_in_order(problem, placing, number, position, vm, False)
+        cost, violation = judge(problem, placing, number, j, position, vm)
+        if violation == 0.0 and cost < least:
+            least = cost
+            best = j
+    return row, best

@@ -1,0 +1,263 @@
+"""``tabu``: tabu search over placements on the k least-cost paths, from the greedy one on.
+
+After Leivadeas et al. (VNF placement by tabu search). A solution is a path and a VM along it for every function. Moves:
+one function to another VM between its neighbours in the chain, or the chain to another of the k paths, placed there in
+order. Each iteration takes the best move that is not tabu even if it is worse, and forbids the way back for ``tenure``
+iterations, unless that leads to the best feasible embedding so far (aspiration).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.planners.base import CompiledPlanner
+from nfv_torchrl.planners.greedy import encode_placement
+from nfv_torchrl.planners.placing import (
+    Placing,
+    first_position,
+    grow_placing,
+    judge,
+    make_placing,
+    node_at,
+    place_greedily,
+)
+from nfv_torchrl.planners.walks import OVERFLOW, make_problem
+from nfv_torchrl.simulator.tables import Rules, Tables
+
+PENALTY = 1e6
+"""$ for one unit of violation: above any real cost, so infeasible embeddings are ranked by their violation first."""
+
+
+class TabuScratch(NamedTuple):
+    """What ``tabu`` writes to while it works; one for each thread."""
+
+    placing: Placing
+    listed: np.ndarray  # int64 [tenure, 3]: (function, node * V + vm, -1) or (-1, -1, path), oldest overwritten
+
+
+@njit(cache=True, nogil=True)
+def plan_tabu(
+    tables, rules, net, vm_offered, link_offered, service, ingress, egress, iterations, scratch, plan
+):
+    """Plan one request by tabu search; see ``CompiledPlanner.plan``. Deterministic.
+
+    Args:
+        iterations: E, moves made.
+        scratch: ``TabuScratch``, whose sizes decide k and the tenure.
+
+    Returns:
+        Number of actions, 0 if no feasible embedding was met, OVERFLOW (-1) if the scratch must grow.
+    """
+    problem = make_problem(
+        tables,
+        rules,
+        net,
+        vm_offered,
+        link_offered,
+        tables.vm_unit_cost[net],
+        tables.link_unit_cost[net],
+        service,
+        ingress,
+        egress,
+    )
+    placing = scratch.placing
+    row, start = place_greedily(problem, tables, net, placing)
+    if row == OVERFLOW:
+        return OVERFLOW
+    best = _improve(problem, scratch, row, start, iterations)
+    if best < 0:
+        return 0
+    kept = placing.position.shape[0] - 1
+    number = row * placing.lacking.size + best
+    return encode_placement(problem, placing, number, placing.position[kept], placing.vm[kept], plan)
+
+
+@njit(cache=True, nogil=True)
+def _improve(problem, scratch, row, start, iterations):
+    """Search from the greedy placement on path ``start`` (-1: the cheapest path, infeasible).
+
+    Returns:
+        Path of the best feasible embedding, whose placement is left in the last row of ``placing``; -1 if none.
+    """
+    placing, listed = scratch.placing, scratch.listed
+    functions = problem.functions
+    here, kept = placing.position.shape[0] - 2, placing.position.shape[0] - 1
+    position, vm = placing.position[here], placing.vm[here]
+    listed[:] = -1
+    path = max(start, 0)
+    _copy(placing, path, here, functions)
+    best, least = -1, np.inf
+    if start >= 0:
+        best = start
+        least = judge(problem, placing, row * placing.lacking.size + start, start, position, vm)[0]
+        _copy(placing, here, kept, functions)
+    for iteration in range(iterations):
+        function, at, v, target = _best_move(problem, scratch, row, path, least)
+        if function < 0 and target < 0:
+            break
+        slot = iteration % listed.shape[0]
+        listed[slot] = -1
+        if function >= 0:
+            node = node_at(problem, placing.paths, row * placing.lacking.size + path, position[function])
+            listed[slot, 0] = function
+            listed[slot, 1] = node * problem.vm_offered.shape[1] + vm[function]
+            position[function] = at
+            vm[function] = v
+        else:
+            listed[slot, 2] = path
+            path = target
+            _copy(placing, path, here, functions)
+        cost, violation = judge(problem, placing, row * placing.lacking.size + path, path, position, vm)
+        if violation == 0.0 and cost < least:
+            best, least = path, cost
+            _copy(placing, here, kept, functions)
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _best_move(problem, scratch, row, path, least):
+    """The move with the least penalised cost that is not tabu, or that beats ``least``.
+
+    Returns:
+        (function, position, VM, -1), or (-1, -1, -1, path), or four times -1 if there is no move.
+    """
+    placing = scratch.placing
+    here = placing.position.shape[0] - 2
+    position, vm = placing.position[here], placing.vm[here]
+    vms = problem.vm_offered.shape[1]
+    number = row * placing.lacking.size + path
+    hops = placing.paths.hops[number]
+    move = (-1, -1, -1, -1)
+    lowest = np.inf
+    for i in range(problem.functions):
+        old_at, old_vm = position[i], vm[i]
+        first = first_position(problem, hops, position[i - 1] if i > 0 else -1)
+        for at in range(first, hops + 1):
+            if not _may_precede(problem, position, i, at, hops):
+                break
+            node = node_at(problem, placing.paths, number, at)
+            for v in range(problem.vm_count[node]):
+                if at == old_at and v == old_vm:
+                    continue
+                position[i], vm[i] = at, v
+                cost, violation = judge(problem, placing, number, path, position, vm)
+                score = cost + PENALTY * violation
+                aspires = violation == 0.0 and cost < least
+                if score < lowest and (aspires or not _is_tabu(scratch.listed, i, node * vms + v, -1)):
+                    lowest = score
+                    move = (i, at, v, -1)
+        position[i], vm[i] = old_at, old_vm
+    for j in range(placing.paths.found[row]):
+        if j == path:
+            continue
+        other = row * placing.lacking.size + j
+        cost, violation = judge(problem, placing, other, j, placing.position[j], placing.vm[j])
+        score = cost + PENALTY * violation
+        aspires = violation == 0.0 and cost < least
+        if score < lowest and (aspires or not _is_tabu(scratch.listed, -1, -1, j)):
+            lowest = score
+            move = (-1, -1, -1, j)
+    return move
+
+
+@njit(cache=True, nogil=True)
+def _may_precede(problem, position, i, at, hops):
+    """Whether function ``i`` may stand at ``at`` without moving the one after it."""
+    if i + 1 == problem.functions:
+        return True
+    return first_position(problem, hops, at) <= position[i + 1]
+
+
+@njit(cache=True, nogil=True)
+def _is_tabu(listed, function, resource, path):
+    for slot in range(listed.shape[0]):
+        if listed[slot, 0] == function and listed[slot, 1] == resource and listed[slot, 2] == path:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _copy(placing, source, target, functions):
+    for i in range(functions):
+        placing.position[target, i] = placing.position[source, i]
+        placing.vm[target, i] = placing.vm[source, i]
+
+
+@njit(cache=True, nogil=True)
+def plan_tabu_batch(
+    tables,
+    rules,
+    rows,
+    env_net,
+    vm_offered,
+    link_offered,
+    service,
+    ingress,
+    egress,
+    iterations,
+    scratch,
+    plans,
+    lengths,
+):
+    """``plan_tabu`` for every environment in ``rows``; returns how many were answered before an overflow."""
+    for done in range(rows.size):
+        b = rows[done]
+        lengths[b] = plan_tabu(
+            tables,
+            rules,
+            env_net[b],
+            vm_offered[b],
+            link_offered[b],
+            service[b],
+            ingress[b],
+            egress[b],
+            iterations,
+            scratch,
+            plans[b],
+        )
+        if lengths[b] == OVERFLOW:
+            return done
+    return rows.size
+
+
+class TabuPlanner(CompiledPlanner):
+    """Tabu search from the greedy placement; the best feasible embedding it meets. Deterministic.
+
+    Args:
+        paths: k, how many least-cost simple paths may be used.
+        iterations: E, moves made for each request.
+        tenure: iterations for which a move's way back is forbidden.
+
+    Raises:
+        ScenarioError: paths < 1, iterations < 0 or tenure < 1.
+    """
+
+    _scratch: TabuScratch
+
+    def __init__(self, *, paths: int = 10, iterations: int = 30, tenure: int = 5) -> None:
+        super().__init__()
+        if paths < 1:
+            raise ScenarioError(f"paths is {paths}; a tabu planner needs at least 1 path to look at")
+        if iterations < 0:
+            raise ScenarioError(f"iterations is {iterations}; give 0 or more")
+        if tenure < 1:
+            raise ScenarioError(f"tenure is {tenure}; give 1 or more")
+        self.paths = int(paths)
+        self.iterations = int(iterations)
+        self.tenure = int(tenure)
+
+    def _make(self, tables: Tables, rules: Rules) -> TabuScratch:
+        return TabuScratch(make_placing(tables, rules, self.paths), np.full((self.tenure, 3), -1))
+
+    def _grow(self, tables: Tables) -> TabuScratch:
+        return self._scratch._replace(placing=grow_placing(self._scratch.placing))
+
+    def _kernel(self, *request: Any) -> int:
+        return plan_tabu(*request[:-1], self.iterations, self._scratch, request[-1])
+
+    def _batch(self, *requests: Any) -> int:
+        return plan_tabu_batch(*requests[:-2], self.iterations, self._scratch, *requests[-2:])

@@ -1,0 +1,147 @@
+"""Least cost, or least delay, from every (node, next function) to the end of the request.
+
+The walk of a request is a path through F + 1 copies of the network, one for each number of functions already placed:
+forwarding stays in a copy, placing goes on to the next. Bounds computed backwards through the copies ignore that a walk
+may use a link or VM twice, so they never overestimate.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+
+class ToGo(NamedTuple):
+    """Bounds and the first step that attains them; rows are the number of functions placed."""
+
+    value: np.ndarray  # float64 [F + 1, N]
+    node: np.ndarray  # int64 [F + 1, N], next node
+    link: np.ndarray  # int64 [F + 1, N], link to it, -1: the same node
+    places: np.ndarray  # bool [F + 1, N], whether the next function is placed there
+    link_weight: np.ndarray  # float64 [L], inf: cannot carry the request
+    place_weight: np.ndarray  # float64 [F, N], best VM of the node, inf: none fits
+    place_vm: np.ndarray  # int64 [F, N]
+    entering: np.ndarray  # float64 [N], least weight from having stepped into a node on
+    queue: np.ndarray  # int64 [N]
+    queued: np.ndarray  # bool [N]
+
+
+def make_to_go(nodes: int, links: int, functions: int) -> ToGo:
+    """Scratch for networks of at most ``nodes`` and ``links`` and chains of at most ``functions``."""
+    layers = (functions + 1, nodes)
+    return ToGo(
+        value=np.zeros(layers),
+        node=np.zeros(layers, np.int64),
+        link=np.zeros(layers, np.int64),
+        places=np.zeros(layers, np.bool_),
+        link_weight=np.zeros(links),
+        place_weight=np.zeros((functions, nodes)),
+        place_vm=np.zeros((functions, nodes), np.int64),
+        entering=np.zeros(nodes),
+        queue=np.zeros(nodes, np.int64),
+        queued=np.zeros(nodes, np.bool_),
+    )
+
+
+@njit(cache=True, nogil=True)
+def fill_cost_to_go(problem, links, to_go):
+    """Least price ($) from every (function, node) to the end of the request."""
+    for link in range(links):
+        fits = problem.link_offered[link] >= problem.rate_units
+        to_go.link_weight[link] = problem.link_price[link] * problem.rate if fits else np.inf
+    for node in range(problem.nodes):
+        for i in range(problem.functions):
+            to_go.place_weight[i, node] = np.inf
+        for vm in range(problem.vm_count[node]):
+            offered = problem.vm_offered[node, vm]
+            for i in range(problem.functions):
+                if offered >= problem.load_units[i]:
+                    weight = problem.vm_price[node, vm] * problem.load[i]
+                    if weight < to_go.place_weight[i, node]:
+                        to_go.place_weight[i, node] = weight
+                        to_go.place_vm[i, node] = vm
+    _fill(problem, to_go)
+
+
+@njit(cache=True, nogil=True)
+def fill_delay_to_go(problem, links, to_go):
+    """Least delay (ms) from every (function, node) to the end of the request."""
+    for link in range(links):
+        fits = problem.link_offered[link] >= problem.rate_units
+        to_go.link_weight[link] = problem.hop_delay[link] if fits else np.inf
+    for node in range(problem.nodes):
+        for i in range(problem.functions):
+            to_go.place_weight[i, node] = np.inf
+            for vm in range(problem.vm_count[node]):
+                if problem.vm_offered[node, vm] >= problem.load_units[i]:
+                    weight = 1000.0 * problem.load[i] / problem.vm_speed[node, vm]
+                    if weight < to_go.place_weight[i, node]:
+                        to_go.place_weight[i, node] = weight
+                        to_go.place_vm[i, node] = vm
+    _fill(problem, to_go)
+
+
+@njit(cache=True, nogil=True)
+def _fill(problem, to_go):
+    for i in range(problem.functions, -1, -1):
+        _seed_layer(problem, to_go, i)
+        _relax_layer(problem, to_go, i)
+
+
+@njit(cache=True, nogil=True)
+def _seed_layer(problem, to_go, i):
+    """Weights of walks that place function ``i`` with their very next step into (or on) a node."""
+    for node in range(problem.nodes):
+        to_go.value[i, node] = np.inf
+        to_go.link[i, node] = 0
+        to_go.entering[node] = np.inf
+        if i < problem.functions:
+            to_go.entering[node] = to_go.place_weight[i, node] + to_go.value[i + 1, node]
+            if problem.colocation or node == problem.egress:
+                to_go.value[i, node] = to_go.entering[node]
+                to_go.node[i, node] = node
+                to_go.link[i, node] = -1
+                to_go.places[i, node] = True
+    if i == problem.functions:
+        to_go.value[i, problem.egress] = 0.0
+        to_go.entering[problem.egress] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _relax_layer(problem, to_go, i):
+    """Label-correcting search with a first-in first-out queue: most nodes enter it once."""
+    nodes = problem.nodes
+    head, waiting = 0, 0
+    for node in range(nodes):
+        to_go.queued[node] = to_go.entering[node] < np.inf
+        if to_go.queued[node]:
+            to_go.queue[waiting] = node
+            waiting += 1
+    while waiting > 0:
+        node = to_go.queue[head]
+        head = head + 1 if head + 1 < nodes else 0
+        waiting -= 1
+        to_go.queued[node] = False
+        entering = to_go.entering[node]
+        # Where staying to place is best (link -1), placing while entering weighs the same and takes a step less.
+        places = i < problem.functions and (entering < to_go.value[i, node] or to_go.link[i, node] < 0)
+        for k in range(problem.degree[node]):
+            before = problem.neighbour[node, k]
+            link = problem.neighbour_link[node, k]
+            weight = to_go.link_weight[link] + entering
+            # The walk never leaves the egress.
+            if before == problem.egress or not weight < to_go.value[i, before]:
+                continue
+            to_go.value[i, before] = weight
+            to_go.node[i, before] = node
+            to_go.link[i, before] = link
+            to_go.places[i, before] = places
+            if weight < to_go.entering[before]:
+                to_go.entering[before] = weight
+                if not to_go.queued[before]:
+                    tail = head + waiting
+                    to_go.queue[tail if tail < nodes else tail - nodes] = before
+                    waiting += 1
+                    to_go.queued[before] = True

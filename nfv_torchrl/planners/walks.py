@@ -1,0 +1,115 @@
+"""One request on one network as the compiled planners see it, and the walks they make of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
+
+OVERFLOW = -1
+"""What a planner kernel returns when its scratch arrays are too small: grow them and call again."""
+
+
+class Problem(NamedTuple):
+    """One request (section "Problem Formulation" of the paper) and what the network offers it.
+
+    Arrays are views of the simulator's tables and of the caller's prices; ledger units are bit/s and cycles/s.
+    """
+
+    nodes: int
+    functions: int
+    ingress: int
+    egress: int
+    colocation: bool
+    budget: float  # ms, tolerable delay plus the tolerance of sums
+    max_steps: int
+    rate: float  # Mbit/s
+    rate_units: int
+    load: np.ndarray  # float64 [F], Mcycles/s
+    load_units: np.ndarray  # int64 [F]
+    degree: np.ndarray  # int64 [N]
+    neighbour: np.ndarray  # int32 [N, D]
+    neighbour_link: np.ndarray  # int32 [N, D]
+    vm_count: np.ndarray  # int64 [N]
+    vm_speed: np.ndarray  # float64 [N, V], Mcycles/s
+    hop_delay: np.ndarray  # float64 [L], ms
+    vm_offered: np.ndarray  # int64 [N, V]
+    link_offered: np.ndarray  # int64 [L]
+    vm_price: np.ndarray  # float64 [N, V], $ per Mcycles/s
+    link_price: np.ndarray  # float64 [L], $ per Mbit/s
+
+
+class Walk(NamedTuple):
+    """Steps of a walk, int64 [J] each: node gone to, link used (-1: none), VM placed on (-1: only forwarded)."""
+
+    node: np.ndarray
+    link: np.ndarray
+    vm: np.ndarray
+
+
+def make_walk(steps: int) -> Walk:
+    """Room for a walk of ``steps`` steps."""
+    return Walk(np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps, np.int64))
+
+
+@njit(cache=True, nogil=True)
+def make_problem(
+    tables, rules, net, vm_offered, link_offered, vm_price, link_price, service, ingress, egress
+):
+    """Collect what ``service`` from ``ingress`` to ``egress`` meets on network ``net`` into a ``Problem``."""
+    return Problem(
+        tables.num_nodes[net],
+        tables.chain_length[service],
+        ingress,
+        egress,
+        rules.colocation,
+        tables.tolerable_delay[service] + DELAY_TOLERANCE,
+        rules.max_steps,
+        tables.rate[service],
+        tables.rate_units[service],
+        tables.load[service],
+        tables.load_units[service],
+        tables.degree[net],
+        tables.neighbour[net],
+        tables.neighbour_link[net],
+        tables.vm_count[net],
+        tables.vm_speed[net],
+        tables.hop_delay[net, service],
+        vm_offered,
+        link_offered,
+        vm_price,
+        link_price,
+    )
+
+
+@njit(cache=True, nogil=True)
+def encode_walk(walk, steps, vms, plan):
+    """Write the actions of ``walk`` into ``plan``: 2 * (node * V + vm) + placed; a forwarding hop names VM 0."""
+    for j in range(steps):
+        if walk.vm[j] >= 0:
+            plan[j] = 2 * (walk.node[j] * vms + walk.vm[j]) + 1
+        else:
+            plan[j] = 2 * walk.node[j] * vms
+
+
+@njit(cache=True, nogil=True)
+def walk_totals(problem, walk, steps, vm_unit_cost, link_unit_cost):
+    """Cost ($, at the given unit costs) and delay (ms) of a walk, summed in the order of its steps."""
+    cost = 0.0
+    delay = 0.0
+    i = 0
+    for j in range(steps):
+        step_delay = 0.0
+        if walk.link[j] >= 0:
+            cost += link_unit_cost[walk.link[j]] * problem.rate
+            step_delay = problem.hop_delay[walk.link[j]]
+        if walk.vm[j] >= 0:
+            node, vm = walk.node[j], walk.vm[j]
+            cost += vm_unit_cost[node, vm] * problem.load[i]
+            step_delay += 1000.0 * problem.load[i] / problem.vm_speed[node, vm]
+            i += 1
+        delay += step_delay
+    return cost, delay
