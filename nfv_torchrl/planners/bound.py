@@ -1,0 +1,262 @@
+"""Upper bounds on how many requests any method can accept, from a linear programme. docs/bounds.md has the proofs.
+
+``hindsight_bound`` knows the whole workload, lifetimes included; ``blind_bound`` bounds what a method that does not see
+lifetimes can expect. Both let a request in by fractions and embed nothing: they only ask that, in every slot, what
+the accepted requests take fits into all VMs together and, for sets of nodes, through the links that leave the set.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.planners.occupancy import Columns, Occupancy, maximise_value
+from nfv_torchrl.planners.relaxations import candidate_cuts, crossed, least_cost, least_delay
+from nfv_torchrl.scenario.failures import FailureTimeline
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.units import LEDGER_UNITS, to_ledger
+from nfv_torchrl.scenario.workload import Workload
+from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
+
+CUTS_PER_ROUND = 4
+MAX_ROUNDS = 8
+VIOLATION = 1e-6
+"""Share of a cut's capacity by which it must be exceeded to join the programme."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What a bound says about one workload.
+
+    Attributes:
+        kind: ``hindsight`` or ``blind``.
+        accepted: no method accepts more (``blind``: no method accepts more in expectation). Requests of the warm-up
+            are left out, as they are of AAR.
+        arrived: requests that count.
+        aar: ``accepted / arrived``; nan if none arrived.
+        accepted_by_service: the mix of types at the programme's optimum, float64 [K]; not a bound for each type.
+        cuts: sets of nodes whose links turned out to be scarce.
+    """
+
+    kind: str
+    accepted: float
+    arrived: int
+    aar: float
+    accepted_by_service: np.ndarray
+    cuts: int
+
+
+def hindsight_bound(scenario: Scenario, workload: Workload, failures: FailureTimeline | None = None) -> Bound:
+    """The most requests of ``workload`` that any method could accept, even knowing all of it, lifetimes too.
+
+    Args:
+        scenario: network, services, horizon, warm-up and colocation rule.
+        workload: all requests.
+        failures: what fails when; needed if the scenario has failures.
+
+    Raises:
+        ScenarioError: the scenario has failures and ``failures`` was not given.
+    """
+    relaxation = _Relaxation(scenario, workload, failures)
+    accepted = relaxation.solve().bound
+    # A method accepts a whole number of requests.
+    return relaxation.bound("hindsight", float(math.floor(accepted * (1 + 1e-12) + 1e-9)))
+
+
+def blind_bound(
+    scenario: Scenario,
+    workload: Workload,
+    failures: FailureTimeline | None = None,
+    *,
+    mean_lifetime: float | None = None,
+) -> Bound:
+    """The most requests that a method which does not see lifetimes can accept in expectation, given the arrivals.
+
+    Lifetimes are taken as exponential and independent of all else; those in ``workload`` are not read. A single run
+    may end above this bound by luck; the mean over many draws of the lifetimes does not.
+
+    Args:
+        scenario: as for ``hindsight_bound``.
+        workload: all requests.
+        failures: as for ``hindsight_bound``.
+        mean_lifetime: s; the scenario's by default.
+
+    Raises:
+        ScenarioError: the workload comes from a file, so its law of lifetimes is unknown, and ``mean_lifetime`` was
+            not given; or as for ``hindsight_bound``.
+    """
+    if mean_lifetime is None:
+        if scenario.workload_path is not None:
+            raise ScenarioError(
+                f"{scenario.workload_path}: the lifetime-blind bound needs the law of the lifetimes; "
+                "pass mean_lifetime if they are exponential, or use the hindsight bound"
+            )
+        mean_lifetime = scenario.mean_lifetime
+    relaxation = _Relaxation(scenario, workload, failures, mean_lifetime)
+    return relaxation.bound("blind", relaxation.solve().bound)
+
+
+def hindsight_least_cost(
+    scenario: Scenario, workload: Workload, accepted: float, failures: FailureTimeline | None = None
+) -> float:
+    """$ (sum of phi, eq. main_problem) that any method spends at least when it accepts ``accepted`` requests.
+
+    Every request is charged its cheapest embedding with delay and capacities ignored, so this is far from tight under
+    load.
+
+    Raises:
+        ScenarioError: not even the relaxation can accept so many; or as for ``hindsight_bound``.
+    """
+    relaxation = _Relaxation(scenario, workload, failures)
+    if accepted > relaxation.possible.sum():
+        raise ScenarioError(f"{accepted:g} requests cannot be accepted; at most {relaxation.possible.sum()} can")
+    return relaxation.least_cost(accepted)
+
+
+class _Relaxation:
+    """One workload's programme. A class is a (service, ingress, egress); requests of a class differ in time alone."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        workload: Workload,
+        failures: FailureTimeline | None,
+        mean_lifetime: float | None = None,
+    ) -> None:
+        if failures is None and not scenario.failures.off:
+            raise ScenarioError("the scenario has failures: pass the run's failure timeline to the bound")
+        self.scenario, self.failures = scenario, failures or FailureTimeline.empty()
+        counts = workload.slot >= scenario.warmup
+        self.arrived = int(counts.sum())
+        requests = np.stack([workload.service, workload.ingress, workload.egress])[:, counts]
+        self.classes, kind = np.unique(requests, axis=1, return_inverse=True)
+        self.possible = self._possible()[kind]
+        self.kind = kind[self.possible]
+        self.slot = workload.slot[counts][self.possible]
+        self.until, self.keep = self._stays(workload.departure[counts][self.possible], mean_lifetime)
+        self.active: list[int] = []  # rows of self.cuts in the programme
+        self.fraction = np.zeros(self.kind.size)  # of each request, at the optimum
+        loads = to_ledger(scenario.catalogue.load).sum(axis=1) / LEDGER_UNITS
+        self.class_load = loads[self.classes[0]]
+        self.class_rate = (to_ledger(scenario.catalogue.rate) / LEDGER_UNITS)[self.classes[0]]
+        self._place_cuts()
+
+    def _possible(self) -> np.ndarray:
+        """Classes, bool [C], that fit into the empty network within their tolerable delay."""
+        possible = np.zeros(self.classes.shape[1], dtype=bool)
+        for service in np.unique(self.classes[0]):
+            mine = self.classes[0] == service
+            delay = least_delay(self.scenario, int(service))[self.classes[1, mine], self.classes[2, mine]]
+            # Sums taken in another order may differ by more than the simulator's tolerance, never by 1e-6 ms.
+            budget = self.scenario.catalogue.tolerable_delay[service] + DELAY_TOLERANCE + 1e-6
+            possible[mine] = delay <= budget
+        return possible
+
+    def _stays(self, departure: np.ndarray, mean_lifetime: float | None) -> tuple[np.ndarray, np.ndarray]:
+        """First slot without each request, int64 [R], and the share that stays from slot to slot, float64 [T].
+
+        A failure may interrupt anyone, so nobody is counted on from the first failure after the arrival.
+        """
+        horizon = self.scenario.horizon
+        events = np.unique(self.failures.slot[~self.failures.up])
+        if mean_lifetime is None:
+            following = np.r_[events, horizon][np.searchsorted(events, self.slot, side="right")]
+            return np.minimum(departure, np.minimum(following, horizon)), np.ones(horizon)
+        keep = np.full(horizon, math.exp(-1.0 / mean_lifetime))
+        keep[events] = 0.0
+        return np.full(self.slot.size, horizon), keep
+
+    def _place_cuts(self) -> None:
+        substrate, horizon = self.scenario.substrate, self.scenario.horizon
+        vm_units, link_units = to_ledger(substrate.vm_capacity).ravel(), to_ledger(substrate.link_capacity)
+        self.pool = (vm_units.sum() + self._failed(vm_units, 0).sum(axis=0)) / LEDGER_UNITS
+        self.cuts = candidate_cuts(substrate)
+        self.pairs, self.class_pair = np.unique(np.sort(self.classes[1:], axis=0), axis=1, return_inverse=True)
+        self.crosses = crossed(self.cuts, self.pairs.T)  # [M, P]
+        links_of = crossed(self.cuts, substrate.links).astype(np.float64)  # [M, L]
+        offered = (link_units[:, None] + self._failed(link_units, vm_units.size)) / LEDGER_UNITS
+        self.cut_capacity = np.broadcast_to(links_of @ offered, (len(self.cuts), horizon))
+
+    def _failed(self, units: np.ndarray, first: int) -> np.ndarray:
+        """What failures take from each resource, int64 [resources, T] (or [resources, 1] if nothing fails), <= 0."""
+        events = self.failures
+        if not len(events):
+            return np.zeros((units.size, 1), dtype=np.int64)
+        change = np.zeros((units.size, self.scenario.horizon), dtype=np.int64)
+        mine = (events.resource >= first) & (events.resource < first + units.size)
+        resource, up = events.resource[mine] - first, events.up[mine]
+        np.add.at(change, (resource, events.slot[mine]), np.where(up, units[resource], -units[resource]))
+        return np.cumsum(change, axis=1)
+
+    def solve(self, value: np.ndarray | None = None, at_least: float | None = None) -> Occupancy:
+        """Solve with the pool of VMs alone, then add the cuts that the solution violates, and again.
+
+        ``value`` float64 [C] is what a request of each class is worth, 1 by default.
+        """
+        value = np.ones(self.classes.shape[1]) if value is None else value
+        best: Occupancy | None = None
+        for _ in range(MAX_ROUNDS):
+            columns, capacity, column_of = self._programme(value)
+            solution = maximise_value(columns, capacity, self.keep, at_least)
+            # Every round's bound holds; each is at most the one before, but for the solver's tolerance.
+            if best is None or at_least is not None or solution.bound < best.bound:
+                best = solution
+            self.fraction = (solution.accepted / np.maximum(columns.size, 1.0))[column_of]
+            if not self._activate_violated():
+                break
+        assert best is not None
+        return best
+
+    def _programme(self, value: np.ndarray) -> tuple[Columns, np.ndarray, np.ndarray]:
+        """Groups of requests alike to the programme, capacity float64 [K, T], and each request's group."""
+        crossing = self.crosses[self.active][:, self.class_pair]  # [active, classes]
+        demand = np.vstack([self.class_load, crossing * self.class_rate])
+        looks, look_of = np.unique(np.vstack([demand, value]), axis=1, return_inverse=True)
+        keys = np.stack([look_of[self.kind], self.slot, self.until])
+        groups, column_of, count = np.unique(keys, axis=1, return_inverse=True, return_counts=True)
+        look = looks[:, groups[0]]
+        columns = Columns(groups[1], groups[2], count.astype(np.float64), look[:-1], look[-1])
+        pool = np.broadcast_to(self.pool, (self.scenario.horizon,))
+        return columns, np.vstack([pool, self.cut_capacity[self.active]]), column_of
+
+    def _activate_violated(self) -> bool:
+        """Add the cuts that the present solution exceeds by most; False if there is none."""
+        horizon = self.scenario.horizon
+        flow = np.zeros((self.pairs.shape[1], horizon))  # Mbit/s between each pair's ends
+        pair, amount = self.class_pair[self.kind], self.fraction * self.class_rate[self.kind]
+        np.add.at(flow, (pair, self.slot), amount)
+        leaves = self.until < horizon
+        np.add.at(flow, (pair[leaves], self.until[leaves]), -amount[leaves])
+        for t in range(1, horizon):
+            flow[:, t] += self.keep[t] * flow[:, t - 1]
+        used = self.crosses.astype(np.float64) @ flow
+        excess = (used - self.cut_capacity).max(axis=1) / np.maximum(self.cut_capacity.max(axis=1), 1e-9)
+        worst = [int(row) for row in np.argsort(-excess) if excess[row] > VIOLATION and int(row) not in self.active]
+        self.active += worst[:CUTS_PER_ROUND]
+        return bool(worst)
+
+    def bound(self, kind: str, accepted: float) -> Bound:
+        """Wrap up after ``solve``."""
+        accepted = min(accepted, float(self.kind.size))
+        services = self.classes[0, self.kind]
+        return Bound(
+            kind=kind,
+            accepted=accepted,
+            arrived=self.arrived,
+            aar=accepted / self.arrived if self.arrived else math.nan,
+            accepted_by_service=np.bincount(services, self.fraction, len(self.scenario.catalogue.types)),
+            cuts=len(self.active),
+        )
+
+    def least_cost(self, accepted: float) -> float:
+        """Lagrangian bound: requests earn the price of the count less their cost, so many prices are due."""
+        cost = np.zeros(self.classes.shape[1])
+        for service in np.unique(self.classes[0]):
+            mine = self.classes[0] == service
+            cost[mine] = least_cost(self.scenario, int(service))[self.classes[1, mine], self.classes[2, mine]]
+        cost[~np.isfinite(cost)] = 0.0  # impossible classes are in no group
+        solution = self.solve(-cost, at_least=accepted)
+        return max(solution.count_price * accepted - solution.bound, 0.0)
