@@ -212,10 +212,9 @@ class ReferenceSimulator:
         closed = []
         while not self.done and (self.cursor == len(self.requests) or self.requests[self.cursor].slot > self.slot):
             closed.append(self.running_cost)
-            if self.slot == self.scenario.horizon - 1:
-                self.done = True
-            else:
-                self.slot += 1
+            self.slot += 1
+            self.done = self.slot == self.scenario.horizon
+            if not self.done:
                 self._open_slot()
         self._begin_walk()
         return closed
@@ -412,8 +411,10 @@ class ReferenceSimulator:
             return share(kind, len(self.services) - 1)
         pairs = [[(int(a), int(b)) for a, b in of_kind] for of_kind in self.scenario.endpoint_pairs]
         each = len(pairs[0])
-        place = pairs[kind].index((self.request.ingress, self.request.egress))
-        return share(kind * each + place, len(pairs) * each - 1)
+        endpoints = (self.request.ingress, self.request.egress)
+        if endpoints not in pairs[kind]:
+            return 1.0  # a workload file may hold pairs of its own
+        return share(kind * each + pairs[kind].index(endpoints), len(pairs) * each - 1)
 
 
 def used_share(capacity: int, available: int) -> float:
