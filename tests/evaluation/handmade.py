@@ -92,8 +92,15 @@ class FirstFit:
                     self.give_back(row)
                     self.interrupted[row] = slot
 
-    def run(self, method: str = "first_fit", seed: int = 0, refuse: frozenset[int] = frozenset()) -> RunRecord:
-        """Answer every request; the rows in ``refuse`` are refused by policy."""
+    def run(
+        self,
+        method: str = "first_fit",
+        seed: int = 0,
+        refuse: frozenset[int] = frozenset(),
+        walks: dict[int, list[Step]] | None = None,
+    ) -> RunRecord:
+        """Answer every request; the rows in ``refuse`` are refused by policy, those in ``walks`` walk so unchecked."""
+        forced = walks or {}
         size = len(self.workload)
         accepted, reason = np.zeros(size, bool), np.full(size, NO_FEASIBLE_ACTION, np.int8)
         delay_ms, cost, hops = np.full(size, math.nan), np.full(size, math.nan), np.zeros(size, np.int64)
@@ -106,9 +113,11 @@ class FirstFit:
                     continue
                 service, ingress = int(self.workload.service[row]), int(self.workload.ingress[row])
                 chain = int(self.scenario.catalogue.chain_length[service])
-                for walk in self.walks(ingress, int(self.workload.egress[row]), 0, chain, []):
+                tried = self.walks(ingress, int(self.workload.egress[row]), 0, chain, [])
+                for walk in [forced[row]] if row in forced else tried:
                     uses, price, time, links = self.uses(ingress, service, walk)
-                    if time <= self.scenario.catalogue.tolerable_delay[service] and self.fits(uses):
+                    in_time = time <= self.scenario.catalogue.tolerable_delay[service]
+                    if row in forced or (in_time and self.fits(uses)):
                         for resource, amount in uses:
                             self.free[resource] -= amount
                         self.running[row] = uses

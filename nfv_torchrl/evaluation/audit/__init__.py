@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from nfv_torchrl.errors import AuditError
-from nfv_torchrl.evaluation.audit.files import read_run
+from nfv_torchrl.evaluation.audit.files import RunFiles, read_run
 from nfv_torchrl.evaluation.audit.problems import UnreadableRun
 from nfv_torchrl.evaluation.audit.recompute import compare, recompute_metrics
 from nfv_torchrl.evaluation.audit.replay import replay
@@ -50,16 +50,20 @@ def audit_run(folder: str | os.PathLike[str]) -> AuditReport:
     """
     path = Path(folder)
     try:
-        files = read_run(path)
+        return _recompute(path, read_run(path))
     except UnreadableRun as error:
         return AuditReport(path, [str(error)])
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        # Files may hold anything: what nobody thought of is a problem of this run and shall not stop the audit of others.
+        return AuditReport(path, [f"the files cannot be replayed: {error!r}"])
+
+
+def _recompute(path: Path, files: RunFiles) -> AuditReport:
     run = replay(files)
-    report = AuditReport(path, [], requests=len(files.workload))
+    metrics = {} if run is None else recompute_metrics(files, run)
     if run is not None:
-        report.metrics = recompute_metrics(files, run)
-        compare(files, report.metrics)
-    report.problems = files.problems.texts()
-    return report
+        compare(files, metrics)
+    return AuditReport(path, files.problems.texts(), metrics, len(files.workload))
 
 
 def find_runs(root: str | os.PathLike[str]) -> list[Path]:
