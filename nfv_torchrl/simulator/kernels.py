@@ -47,13 +47,13 @@ PASSES = -1
 # ---------------------------------------------------------------------------------------------------- the books
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _show_share(flat, b, resource, capacity, offered):
     """Used share of a resource in the observation: floor(I (capacity - offered) / capacity) / I."""
     flat[b, resource] = ((capacity - offered) * SHARE_LEVELS // capacity) / SHARE_LEVELS
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _change_vm(tables, ledger, env, flat, b, node, vm, amount):
     """Reserve ``amount`` ledger units of a VM (give back when negative)."""
     e = env[b]
@@ -66,7 +66,7 @@ def _change_vm(tables, ledger, env, flat, b, node, vm, amount):
         _show_share(flat, b, node * vms + vm, capacity, ledger.vm_offered[b, node, vm])
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _change_link(tables, ledger, env, flat, b, link, amount):
     """Reserve ``amount`` ledger units of a link (give back when negative)."""
     e = env[b]
@@ -78,7 +78,7 @@ def _change_link(tables, ledger, env, flat, b, link, amount):
         _show_share(flat, b, first + link, tables.link_capacity[e.net, link], ledger.link_offered[b, link])
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _give_back(tables, ledger, env, flat, b, resource, amount):
     vms = ledger.vm_offered.shape[2]
     first_link = ledger.vm_offered.shape[1] * vms
@@ -88,16 +88,16 @@ def _give_back(tables, ledger, env, flat, b, resource, amount):
         _change_link(tables, ledger, env, flat, b, resource - first_link, -amount)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _release_walk(world, b):
     """A rejected walk gives back at once all that it had reserved."""
     for k in range(world.env[b].entries):
         _give_back(
-            world.tables, world.ledger, world.env, world.view.flat, b, world.walk.resource[b, k], world.walk.amount[b, k]
+            world.tables, world.ledger, world.env, world.seen.flat, b, world.walk.resource[b, k], world.walk.amount[b, k]
         )
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _keep_running(world, b):
     """Keep an accepted walk's reservations until its departure."""
     running, walk, e = world.running, world.walk, world.env[b]
@@ -123,7 +123,7 @@ def _keep_running(world, b):
     e.num_running += 1
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _end_record(world, b, record):
     """Give back what a running request holds and free its record. Returns the record that followed it."""
     running, e = world.running, world.env[b]
@@ -133,7 +133,7 @@ def _end_record(world, b, record):
             world.tables,
             world.ledger,
             world.env,
-            world.view.flat,
+            world.seen.flat,
             b,
             running.entry_resource[b, entry],
             running.entry_amount[b, entry],
@@ -156,7 +156,7 @@ def _end_record(world, b, record):
 # ------------------------------------------------------------------------------------------------- slots, failures
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _depart(world, b):
     """Every request whose departure slot has come leaves (Algorithm 1)."""
     slot = world.env[b].slot
@@ -166,7 +166,7 @@ def _depart(world, b):
     world.running.head[b, slot] = -1
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _uses(running, b, record, resource):
     entry = running.record_entry[b, record]
     while entry != -1:
@@ -176,7 +176,7 @@ def _uses(running, b, record, resource):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _interrupt(world, b, resource):
     """End every running request that uses a failed resource."""
     running, log, e = world.running, world.log, world.env[b]
@@ -198,7 +198,7 @@ def _interrupt(world, b, resource):
                 running.record_next[b, before] = record
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _set_failed(world, b, resource, failed):
     """A failed resource offers nothing; a repaired one offers what is not reserved."""
     ledger, tables, e = world.ledger, world.tables, world.env[b]
@@ -209,16 +209,16 @@ def _set_failed(world, b, resource, failed):
         capacity = tables.vm_capacity[e.net, node, vm]
         ledger.vm_failed[b, node, vm] = failed
         ledger.vm_offered[b, node, vm] = 0 if failed else capacity - ledger.vm_reserved[b, node, vm]
-        _show_share(world.view.flat, b, resource, capacity, ledger.vm_offered[b, node, vm])
+        _show_share(world.seen.flat, b, resource, capacity, ledger.vm_offered[b, node, vm])
     else:
         link = resource - first_link
         capacity = tables.link_capacity[e.net, link]
         ledger.link_failed[b, link] = failed
         ledger.link_offered[b, link] = 0 if failed else capacity - ledger.link_reserved[b, link]
-        _show_share(world.view.flat, b, resource, capacity, ledger.link_offered[b, link])
+        _show_share(world.seen.flat, b, resource, capacity, ledger.link_offered[b, link])
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _open_slot(world, b):
     """Start of a slot: departures, then this slot's repairs and failures in the timeline's order."""
     arrivals, e = world.arrivals, world.env[b]
@@ -232,7 +232,7 @@ def _open_slot(world, b):
         e.event_cursor += 1
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _close_slot(world, b):
     """End of a slot: its utilisation cost Phi_t and used shares count, unless it belongs to the warm-up."""
     tables, out, e = world.tables, world.outcome, world.env[b]
@@ -244,7 +244,7 @@ def _close_slot(world, b):
     e.slot += 1
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _next_request(world, b):
     """Move on to the request at the cursor, through as many slots as lie between, or to the end of the horizon."""
     e = world.env[b]
@@ -260,7 +260,7 @@ def _next_request(world, b):
         _begin_request(world, b)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _begin_request(world, b):
     e = world.env[b]
     e.node = world.arrivals.ingress[b, e.cursor]
@@ -278,7 +278,7 @@ def _begin_request(world, b):
 # -------------------------------------------------------------------------------------------------- what is seen
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _move_one(flat, b, old, new):
     if old >= 0:
         flat[b, old] = 0.0
@@ -286,11 +286,11 @@ def _move_one(flat, b, old, new):
     return new
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _show_request(world, b):
     """The five numbers of the request in the flat observation and, when on, the one-hot features after them."""
     tables, arrivals, e = world.tables, world.arrivals, world.env[b]
-    flat = world.view.flat
+    flat = world.seen.flat
     _, nodes, vms = world.ledger.vm_offered.shape
     services, functions = tables.load.shape
     base = nodes * vms + world.ledger.link_offered.shape[1]
@@ -300,7 +300,7 @@ def _show_request(world, b):
     flat[b, base + 2] = e.last_vm / max(vms - 1, 1)
     flat[b, base + 3] = e.function / functions
     flat[b, base + 4] = e.elapsed / tables.tolerable_delay[service]
-    if world.view.one_hot:
+    if world.seen.one_hot:
         base += 5
         e.hot_service = _move_one(flat, b, e.hot_service, base + service)
         e.hot_node = _move_one(flat, b, e.hot_node, base + services + e.node)
@@ -309,7 +309,7 @@ def _show_request(world, b):
         e.hot_function = _move_one(flat, b, e.hot_function, base + services + 2 * nodes + e.function)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def check_step(tables, rules, ledger, b, net, service, function, elapsed, steps, link, node, vm, place):
     """The step checks of Algorithm 3 in their order; link -1 is a self-hop. Returns ``PASSES`` or a reason's code."""
     delay = 0.0
@@ -328,7 +328,7 @@ def check_step(tables, rules, ledger, b, net, service, function, elapsed, steps,
     return PASSES
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _is_feasible(world, b, service, egress, link, node, vm, place):
     """Whether a step passes every check and leaves enough delay to reach the egress at all."""
     tables, e = world.tables, world.env[b]
@@ -345,10 +345,10 @@ def _is_feasible(world, b, service, egress, link, node, vm, place):
     return after <= tables.tolerable_delay[service] + DELAY_TOLERANCE
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _add_moves(world, b, count, service, egress, link, node, forward, place):
     """Append the valid actions towards ``node`` (link -1: stay). Returns the new number of valid actions."""
-    mask, valid = world.view.mask, world.view.valid
+    mask, valid = world.seen.mask, world.seen.valid
     vms = world.ledger.vm_offered.shape[2]
     first = 2 * node * vms
     feasible = world.rules.feasible_mask
@@ -367,11 +367,11 @@ def _add_moves(world, b, count, service, egress, link, node, forward, place):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _write_mask(world, b):
     """The possible actions A_p of the current state; ``reject`` keeps the mask non-empty."""
     tables, rules, e = world.tables, world.rules, world.env[b]
-    mask, valid = world.view.mask, world.view.valid
+    mask, valid = world.seen.mask, world.seen.valid
     for k in range(e.mask_count):
         mask[b, valid[b, k]] = False
     count = 0
@@ -399,7 +399,7 @@ def _write_mask(world, b):
 # ------------------------------------------------------------------------------------------------------ one step
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _find_link(tables, net, node, neighbour):
     for k in range(tables.degree[net, node]):
         if tables.neighbour[net, node, k] == neighbour:
@@ -407,14 +407,14 @@ def _find_link(tables, net, node, neighbour):
     return np.int64(-1)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _take(walk, e, b, resource, amount):
     walk.resource[b, e.entries] = resource
     walk.amount[b, e.entries] = amount
     e.entries += 1
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _move(world, b, service, action):
     """Check a step and, if it passes, reserve for it. Returns ``PASSES`` or the reason's code."""
     tables, ledger, walk, e = world.tables, world.ledger, world.walk, world.env[b]
@@ -432,14 +432,14 @@ def _move(world, b, service, action):
     delay = 0.0
     if link >= 0:
         units = tables.rate_units[service]
-        _change_link(tables, ledger, world.env, world.view.flat, b, link, units)
+        _change_link(tables, ledger, world.env, world.seen.flat, b, link, units)
         _take(walk, e, b, nodes * vms + link, units)
         cost += tables.link_unit_cost[e.net, link] * tables.rate[service]
         delay += tables.hop_delay[e.net, service, link]
         e.hops += 1
     if place:
         units = tables.load_units[service, e.function]
-        _change_vm(tables, ledger, world.env, world.view.flat, b, node, vm, units)
+        _change_vm(tables, ledger, world.env, world.seen.flat, b, node, vm, units)
         _take(walk, e, b, node * vms + vm, units)
         load = tables.load[service, e.function]
         cost += tables.vm_unit_cost[e.net, node, vm] * load
@@ -456,7 +456,7 @@ def _move(world, b, service, action):
     return PASSES
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _log_answer(world, b, reason):
     log, e = world.log, world.env[b]
     r = e.cursor
@@ -471,7 +471,7 @@ def _log_answer(world, b, reason):
     log.start[b, r + 1] = e.log_length
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _finish(world, b, reason):
     """Answer the request (``NO_REASON`` accepts it) and move on to the next one."""
     out, e = world.outcome, world.env[b]
@@ -492,11 +492,12 @@ def _finish(world, b, reason):
     _next_request(world, b)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def step_env(world, b, action):
     """One step of environment b (Algorithm 3). After the horizon's end it changes nothing but says ``done`` again."""
     out, e = world.outcome, world.env[b]
-    out[b, :] = 0.0
+    for column in range(out.shape[1]):
+        out[b, column] = 0.0
     out[b, REASON] = NO_REASON
     out[b, DONE] = 1.0
     if e.done == 1:
@@ -504,7 +505,7 @@ def step_env(world, b, action):
     service = np.int64(world.arrivals.service[b, e.cursor])
     out[b, SERVICE] = service
     out[b, REQUEST_SLOT] = world.arrivals.slot[b, e.cursor]
-    reject = world.view.mask.shape[1] - 1
+    reject = world.seen.mask.shape[1] - 1
     if action == reject:
         if e.mask_count == 1:
             reason = NO_FEASIBLE_ACTION
@@ -513,7 +514,7 @@ def step_env(world, b, action):
         else:
             reason = INVALID_ACTION
         _finish(world, b, reason)
-    elif action < 0 or action > reject or not world.view.mask[b, action]:
+    elif action < 0 or action > reject or not world.seen.mask[b, action]:
         _finish(world, b, INVALID_ACTION)
     else:
         reason = _move(world, b, service, action)
@@ -527,7 +528,7 @@ def step_env(world, b, action):
     out[b, DONE] = e.done
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def step_range(world, actions, first, last):
     """Step environments first .. last - 1 with ``actions`` int64 [B].
 
@@ -546,18 +547,24 @@ def step_range(world, actions, first, last):
 # ------------------------------------------------------------------------------------------------- start, forward
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _empty_network(world, b):
     """Put the books, pools and counters of environment b back to an idle network."""
     tables, ledger, running, e = world.tables, world.ledger, world.running, world.env[b]
-    ledger.vm_reserved[b] = 0
-    ledger.vm_failed[b] = False
-    ledger.vm_offered[b] = tables.vm_capacity[e.net]
-    ledger.link_reserved[b] = 0
-    ledger.link_failed[b] = False
-    ledger.link_offered[b] = tables.link_capacity[e.net]
-    world.view.flat[b] = 0.0
-    running.head[b] = -1
+    _, nodes, vms = ledger.vm_offered.shape
+    for node in range(nodes):
+        for vm in range(vms):
+            ledger.vm_reserved[b, node, vm] = 0
+            ledger.vm_failed[b, node, vm] = False
+            ledger.vm_offered[b, node, vm] = tables.vm_capacity[e.net, node, vm]
+    for link in range(ledger.link_offered.shape[1]):
+        ledger.link_reserved[b, link] = 0
+        ledger.link_failed[b, link] = False
+        ledger.link_offered[b, link] = tables.link_capacity[e.net, link]
+    for k in range(world.seen.flat.shape[1]):
+        world.seen.flat[b, k] = 0.0
+    for slot in range(running.head.shape[1]):
+        running.head[b, slot] = -1
     for pool in (running.record_next, running.entry_next):
         size = pool.shape[1]
         for k in range(size):
@@ -568,13 +575,13 @@ def _empty_network(world, b):
     e.free_entries = running.entry_next.shape[1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def start_env(world, b):
     """Begin the horizon of environment b on an empty network; its arrivals must have been written."""
     e = world.env[b]
     _empty_network(world, b)
     for k in range(e.mask_count):
-        world.view.mask[b, world.view.valid[b, k]] = False
+        world.seen.mask[b, world.seen.valid[b, k]] = False
     e.mask_count = 0
     e.slot = 0
     e.cursor = 0
@@ -589,12 +596,13 @@ def start_env(world, b):
     e.hot_node = -1
     e.hot_egress = -1
     e.hot_function = -1
-    world.outcome[b] = 0.0
+    for column in range(world.outcome.shape[1]):
+        world.outcome[b, column] = 0.0
     _open_slot(world, b)
     _next_request(world, b)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def thrifty_action(world, b):
     """A quick sensible rule: of the steps that pass, the one with the least cost now plus cheapest links still to go.
 
@@ -603,14 +611,14 @@ def thrifty_action(world, b):
     """
     tables, arrivals, e = world.tables, world.arrivals, world.env[b]
     vms = world.ledger.vm_offered.shape[2]
-    reject = world.view.mask.shape[1] - 1
+    reject = world.seen.mask.shape[1] - 1
     service = np.int64(arrivals.service[b, e.cursor])
     egress = np.int64(arrivals.egress[b, e.cursor])
     rate = tables.rate[service]
     best = np.int64(reject)
     best_score = np.inf
     for k in range(e.mask_count):
-        action = np.int64(world.view.valid[b, k])
+        action = np.int64(world.seen.valid[b, k])
         if action == reject:
             continue
         node, vm, place = action // (2 * vms), (action // 2) % vms, action % 2 == 1
@@ -628,7 +636,7 @@ def thrifty_action(world, b):
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def forward_env(world, b, slot):
     """Play ``thrifty_action`` in environment b until ``slot``, or until a pool runs low. Returns True if it arrived."""
     e = world.env[b]
@@ -640,7 +648,7 @@ def forward_env(world, b, slot):
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def random_steps(world, steps, seeds):
     """Benchmark: ``steps`` uniformly random valid actions in every environment; ``seeds`` uint64 [B] is advanced.
 
@@ -655,7 +663,7 @@ def random_steps(world, steps, seeds):
             x ^= x << np.uint64(13)
             x ^= x >> np.uint64(7)
             x ^= x << np.uint64(17)
-            action = world.view.valid[b, np.int64((x >> np.uint64(33)) % np.uint64(e.mask_count))]
+            action = world.seen.valid[b, np.int64((x >> np.uint64(33)) % np.uint64(e.mask_count))]
             step_env(world, b, np.int64(action))
             requests += np.int64(world.outcome[b, REQUEST_DONE])
             if e.done == 1 or e.free_entries < room or e.free_records < 1:

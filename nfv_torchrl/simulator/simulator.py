@@ -38,7 +38,7 @@ class Simulator:
 
     Attributes:
         world: all arrays (see ``simulator/state.py``). ``world.outcome`` float64 [B, len(OUTCOME)] says what the last
-            step brought, ``world.view`` what a controller sees now.
+            step brought, ``world.seen`` what a controller sees now.
 
     Raises:
         ScenarioError: the scenarios do not fit together.
@@ -89,7 +89,7 @@ class Simulator:
     @property
     def num_actions(self) -> int:
         """Actions with ``reject``, the last one: 2 N V + 1."""
-        return self.world.view.mask.shape[1]
+        return self.world.seen.mask.shape[1]
 
     @property
     def outcome(self) -> dict[str, np.ndarray]:
@@ -110,7 +110,7 @@ class Simulator:
             timeline: failures and repairs, none by default.
             start_slot: play a quick compiled rule until this slot first, so that the network is loaded.
         """
-        self._write_arrivals(b, workload, timeline)
+        self.load_arrivals(b, workload, timeline)
         kernels.start_env(self.world, b)
         while not kernels.forward_env(self.world, b, start_slot):
             self.world = grow_pools(self.world)
@@ -143,7 +143,8 @@ class Simulator:
         while self.world.running.entry_next.shape[1] < 4 * self.world.rules.max_steps:
             self.world = grow_pools(self.world)
 
-    def _write_arrivals(self, b: int, workload: Workload, timeline: FailureTimeline | None) -> None:
+    def load_arrivals(self, b: int, workload: Workload, timeline: FailureTimeline | None) -> None:
+        """Write the requests and failures of environment b's horizon without starting it."""
         requests = len(workload.slot)
         events = 0 if timeline is None else len(timeline.slot)
         self._widen_arrivals(requests, events)
@@ -199,7 +200,7 @@ class Simulator:
         """Bytes of all arrays that grow with B."""
         groups: Iterable = (self.world.ledger, self.world.arrivals, self.world.running, self.world.walk)
         arrays = [array for group in groups for array in group]
-        arrays += [self.world.view.mask, self.world.view.valid, self.world.view.flat, self.world.outcome]
+        arrays += [self.world.seen.mask, self.world.seen.valid, self.world.seen.flat, self.world.outcome]
         return sum(array.nbytes for array in arrays)
 
 

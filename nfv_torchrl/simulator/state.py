@@ -129,7 +129,7 @@ class World(NamedTuple):
     arrivals: Arrivals
     running: Running
     walk: Walk
-    view: View
+    seen: View
     log: Log
     outcome: np.ndarray  # float64 [B, len(OUTCOME)]
 
@@ -209,7 +209,7 @@ def new_world(
             resource=np.zeros((batch, 2 * rules.max_steps), np.int32),
             amount=np.zeros((batch, 2 * rules.max_steps), np.int64),
         ),
-        view=View(
+        seen=View(
             mask=np.zeros((batch, actions), np.bool_),
             valid=np.zeros((batch, actions), np.int32),
             flat=np.zeros((batch, flat_size(nodes, vms, links, services, functions, one_hot)), np.float32),

@@ -1,0 +1,244 @@
+"""One row of features for each valid action, so that a network with shared weights scores any size of substrate."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numba import njit
+from tensordict import TensorDict
+from torchrl.data import Binary, Composite, Unbounded
+
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.kernels import PASSES, _find_link, check_step
+from nfv_torchrl.simulator.tables import Rules, Tables
+
+FEATURES = (
+    "reject",  # 1 for the row of the reject action
+    "place",  # places the next function (else only forwards)
+    "stay",  # uses no link
+    "arrives",  # the step ends at the egress
+    "passes",  # passes every step check
+    "step_cost",  # phi~ over the service's reference cost
+    "cost_to_go",  # least cost to finish after the step on the empty network, over the same
+    "vm_use",  # used share of the VM after the step
+    "vm_demand",  # load of the function over the VM's capacity
+    "node_use",  # used share of all VMs of the node after the step
+    "link_use",  # used share of the link after the step
+    "link_demand",  # rate over the link's capacity
+    "elapsed",  # delay after the step over the tolerable delay
+    "delay_to_go",  # shortest delay from there to the egress over the tolerable delay
+    "slack",  # what is left then: 1 - elapsed - delay_to_go
+    "functions_left",  # share of the chain not placed after the step
+    "load_left",  # share of the chain's load not placed after the step
+    "network_vm_use",  # used share of all VM capacity now
+    "network_link_use",  # used share of all link capacity now
+)
+"""Columns of the candidate rows; one column per service type (one-hot) follows."""
+
+
+@njit(cache=True)
+def _finish_costs(tables, net, colocation, service, costs):
+    """Fill ``costs`` [F + 1, N, N]: least cost from (functions placed, node) to the egress, empty network."""
+    nodes = tables.num_nodes[net]
+    functions = tables.chain_length[service]
+    rate = tables.rate[service]
+    costs[:] = np.inf
+    for i in range(functions, -1, -1):
+        for egress in range(nodes):
+            _finish_costs_from(tables, net, colocation, rate, service, i, functions, egress, costs)
+
+
+@njit(cache=True)
+def _finish_costs_from(tables, net, colocation, rate, service, i, functions, egress, costs):
+    """One layer of ``_finish_costs`` by Bellman-Ford: all nodes with i functions placed, towards one egress."""
+    nodes = tables.num_nodes[net]
+    load = tables.load[service, min(i, functions - 1)] if i < functions else 0.0
+    for node in range(nodes):
+        if i == functions:
+            costs[i, node, egress] = rate * tables.link_cost_to[net, node, egress]
+        elif node == egress or colocation:
+            costs[i, node, egress] = _cheapest_vm(tables, net, node) * load + costs[i + 1, node, egress]
+    changed = i < functions
+    while changed:
+        changed = False
+        for node in range(nodes):
+            if node == egress:
+                continue
+            best = costs[i, node, egress]
+            for k in range(tables.degree[net, node]):
+                near = tables.neighbour[net, node, k]
+                onward = min(
+                    costs[i, near, egress],
+                    _cheapest_vm(tables, net, near) * load + costs[i + 1, near, egress],
+                )
+                hop = rate * tables.link_unit_cost[net, tables.neighbour_link[net, node, k]]
+                best = min(best, hop + onward)
+            if best < costs[i, node, egress]:
+                costs[i, node, egress] = best
+                changed = True
+
+
+@njit(cache=True)
+def _cheapest_vm(tables, net, node):
+    cheapest = np.inf
+    for vm in range(tables.vm_count[net, node]):
+        cheapest = min(cheapest, tables.vm_unit_cost[net, node, vm])
+    return cheapest
+
+
+def finish_costs(tables: Tables, rules: Rules) -> np.ndarray:
+    """Least cost ($) to finish a request on the empty network, float64 [S, K, F + 1, N, N].
+
+    Index: substrate, service, functions placed, current node, egress. Infinite for nodes a substrate does not have.
+    """
+    substrates, nodes = tables.degree.shape
+    services, functions = tables.load.shape
+    costs = np.full((substrates, services, functions + 1, nodes, nodes), np.inf)
+    for net in range(substrates):
+        for service in range(services):
+            _finish_costs(tables, net, rules.colocation, service, costs[net, service])
+    return costs
+
+
+def reference_costs(tables: Tables, costs: np.ndarray) -> np.ndarray:
+    """Mean over all pairs of nodes of the least cost of a request on the empty network, $, float64 [S, K]."""
+    references = np.zeros(costs.shape[:2])
+    for net, nodes in enumerate(tables.num_nodes):
+        apart = ~np.eye(nodes, dtype=bool)
+        references[net] = costs[net, :, 0, :nodes, :nodes][:, apart].mean(axis=1)
+    return references
+
+
+@njit(cache=True)
+def _write_row(world, b, costs, references, action, row):
+    """Features of one valid action other than reject."""
+    tables, ledger, e = world.tables, world.ledger, world.env[b]
+    vms = ledger.vm_offered.shape[2]
+    net, service = e.net, np.int64(world.arrivals.service[b, e.cursor])
+    egress = np.int64(world.arrivals.egress[b, e.cursor])
+    node, vm, place = action // (2 * vms), (action // 2) % vms, action % 2 == 1
+    link = np.int64(-1) if node == e.node else _find_link(tables, net, e.node, node)
+    tolerable = tables.tolerable_delay[service]
+    elapsed = e.elapsed
+    cost = 0.0
+    done = e.function
+    vm_taken = np.int64(0)
+    row[1] = place
+    row[2] = link < 0
+    row[3] = node == egress
+    row[4] = PASSES == check_step(
+        tables, world.rules, ledger, b, net, service, e.function, e.elapsed, e.steps, link, node, vm, place
+    )
+    if place:
+        load = tables.load[service, e.function]
+        vm_taken = tables.load_units[service, e.function]
+        cost += tables.vm_unit_cost[net, node, vm] * load
+        elapsed += 1000.0 * load / tables.vm_speed[net, node, vm]
+        row[8] = load / tables.vm_speed[net, node, vm]
+        done += 1
+    if link >= 0:
+        cost += tables.link_unit_cost[net, link] * tables.rate[service]
+        elapsed += tables.hop_delay[net, service, link]
+        capacity = tables.link_capacity[net, link]
+        row[10] = (capacity - ledger.link_offered[b, link] + tables.rate_units[service]) / capacity
+        row[11] = tables.rate_units[service] / capacity
+    capacity = tables.vm_capacity[net, node, vm]
+    row[7] = (capacity - ledger.vm_offered[b, node, vm] + vm_taken) / capacity
+    free, total = -vm_taken, np.int64(0)
+    for v in range(tables.vm_count[net, node]):
+        free += ledger.vm_offered[b, node, v]
+        total += tables.vm_capacity[net, node, v]
+    row[9] = 1.0 - free / total
+    row[5] = cost / references[net, service]
+    row[6] = costs[net, service, done, node, egress] / references[net, service]
+    row[12] = elapsed / tolerable
+    row[13] = tables.delay_to[net, service, node, egress] / tolerable
+    row[14] = 1.0 - row[12] - row[13]
+    chain = tables.chain_length[service]
+    row[15] = (chain - done) / chain
+    left, whole = 0.0, 0.0
+    for f in range(chain):
+        whole += tables.load[service, f]
+        if f >= done:
+            left += tables.load[service, f]
+    row[16] = left / whole
+
+
+@njit(cache=True, nogil=True)
+def write_candidates(world, costs, references, rows, actions, mask):
+    """Fill ``rows`` float32 [B, C, features], ``actions`` int64 [B, C] and ``mask`` bool [B, C] from the world."""
+    features = rows.shape[2] - world.tables.load.shape[0]
+    reject = world.seen.mask.shape[1] - 1
+    for b in range(rows.shape[0]):
+        e = world.env[b]
+        rows[b] = 0.0
+        actions[b] = reject
+        mask[b] = False
+        for k in range(e.mask_count):
+            action = np.int64(world.seen.valid[b, k])
+            actions[b, k] = action
+            mask[b, k] = True
+            row = rows[b, k]
+            if action == reject:
+                row[0] = 1.0
+            else:
+                _write_row(world, b, costs, references, action, row)
+            row[17] = e.vm_used / world.tables.vm_total[e.net]
+            row[18] = e.link_used / world.tables.link_total[e.net]
+            if e.done == 0:
+                row[features + world.arrivals.service[b, e.cursor]] = 1.0
+
+
+class CandidateObservation:
+    """Key ``candidates``, nested: one row for each valid action, in no particular order, then padding.
+
+    C = 2 V (D + 1) + 1 rows, D the largest degree. ``features`` float32 [B, C, 19 + K] (columns: ``FEATURES``, then
+    the service type one-hot; costs and delays are relative to the service's own, so that one network serves all),
+    ``action`` int64 [B, C]: the action a row stands for (``reject`` in padding), ``mask`` bool [B, C]: rows in use.
+    """
+
+    def __init__(self) -> None:
+        self._simulator: Simulator | None = None
+
+    def _prepare(self, simulator: Simulator) -> None:
+        if self._simulator is simulator:
+            return
+        self._simulator = simulator
+        tables = simulator.tables
+        self._costs = finish_costs(tables, simulator.world.rules)
+        self._references = reference_costs(tables, self._costs)
+
+    @staticmethod
+    def shape(simulator: Simulator) -> tuple[int, int]:
+        """Rows C and features."""
+        tables = simulator.tables
+        vms, degrees = tables.vm_capacity.shape[2], tables.neighbour.shape[2]
+        return 2 * vms * (degrees + 1) + 1, len(FEATURES) + tables.load.shape[0]
+
+    def specs(self, simulator: Simulator) -> dict:
+        """See ``ObservationPart``."""
+        batch = torch.Size([simulator.batch_size])
+        rows, features = self.shape(simulator)
+        return {
+            "candidates": Composite(
+                features=Unbounded((*batch, rows, features), dtype=torch.float32),
+                action=Unbounded((*batch, rows), dtype=torch.int64),
+                mask=Binary(rows, shape=(*batch, rows), dtype=torch.bool),
+                shape=batch,
+            )
+        }
+
+    def read(self, simulator: Simulator) -> dict:
+        """See ``ObservationPart``."""
+        self._prepare(simulator)
+        batch = simulator.batch_size
+        rows, features = self.shape(simulator)
+        values = torch.empty(batch, rows, features)
+        actions = torch.empty(batch, rows, dtype=torch.int64)
+        mask = torch.empty(batch, rows, dtype=torch.bool)
+        write_candidates(
+            simulator.world, self._costs, self._references, values.numpy(), actions.numpy(), mask.numpy()
+        )
+        return {
+            "candidates": TensorDict({"features": values, "action": actions, "mask": mask}, batch_size=[batch])
+        }

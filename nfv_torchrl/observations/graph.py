@@ -1,0 +1,95 @@
+"""The whole network as a graph, for graph networks."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torchrl.data import Composite, Unbounded
+
+from nfv_torchrl.observations.request import current_requests
+from nfv_torchrl.simulator import Simulator
+
+VM_FEATURES = ("exists", "use", "speed", "unit_cost")
+LINK_FEATURES = ("exists", "use", "delay", "unit_cost")
+NODE_FEATURES = ("current", "ingress", "egress")
+
+
+class GraphObservation:
+    """Key ``graph``, nested, float32 but for ``link_ends``:
+
+    ``vms`` [B, N, V, 4]: exists, used share, capacity and unit cost over the network's mean. ``links`` [B, L, 4]:
+    exists, used share, delay of the hop over the tolerable delay, unit cost over the mean. ``link_ends`` int64
+    [B, L, 2]. ``nodes`` [B, N, 3]: one-hot current node, ingress, egress.
+    """
+
+    def __init__(self) -> None:
+        self._simulator: Simulator | None = None
+
+    def _prepare(self, simulator: Simulator) -> None:
+        if self._simulator is simulator:
+            return
+        self._simulator = simulator
+        tables, net = simulator.tables, simulator.world.env["net"]
+        vm_exists = tables.vm_capacity > 0
+        link_exists = tables.link_capacity > 0
+        capacity = np.where(vm_exists, tables.vm_capacity, 0)
+        self._vm_static = [
+            vm_exists[net],
+            (capacity / _mean_where(capacity, vm_exists))[net],
+            (tables.vm_unit_cost / _mean_where(tables.vm_unit_cost, vm_exists))[net],
+        ]
+        self._link_static = [
+            link_exists[net],
+            (tables.link_unit_cost / _mean_where(tables.link_unit_cost, link_exists))[net],
+        ]
+        self._ends = torch.from_numpy(tables.link_ends[net].astype(np.int64))
+
+    def specs(self, simulator: Simulator) -> dict:
+        """See ``ObservationPart``."""
+        batch = torch.Size([simulator.batch_size])
+        _, nodes, vms = simulator.world.ledger.vm_offered.shape
+        links = simulator.world.ledger.link_offered.shape[1]
+        return {
+            "graph": Composite(
+                vms=Unbounded((*batch, nodes, vms, len(VM_FEATURES)), dtype=torch.float32),
+                links=Unbounded((*batch, links, len(LINK_FEATURES)), dtype=torch.float32),
+                link_ends=Unbounded((*batch, links, 2), dtype=torch.int64),
+                nodes=Unbounded((*batch, nodes, len(NODE_FEATURES)), dtype=torch.float32),
+                shape=batch,
+            )
+        }
+
+    def read(self, simulator: Simulator) -> dict:
+        """See ``ObservationPart``."""
+        self._prepare(simulator)
+        batch = simulator.batch_size
+        _, nodes, vms = simulator.world.ledger.vm_offered.shape
+        flat, tables = simulator.world.seen.flat, simulator.tables
+        requests, rows = current_requests(simulator), np.arange(batch)
+        use = flat[:, : nodes * vms].reshape(batch, nodes, vms)
+        vm_exists, speed, vm_cost = self._vm_static
+        link_exists, link_cost = self._link_static
+        net, service = simulator.world.env["net"], requests["service"]
+        delay = tables.hop_delay[net, service] / tables.tolerable_delay[service][:, None]
+        link_use = flat[:, nodes * vms : nodes * vms + link_exists.shape[1]]
+        marks = np.zeros((batch, nodes, len(NODE_FEATURES)), np.float32)
+        for column, name in enumerate(("node", "ingress", "egress")):
+            marks[rows, requests[name], column] = 1.0
+        values = {
+            "vms": _stack(vm_exists, use, speed, vm_cost),
+            "links": _stack(link_exists, link_use, delay, link_cost),
+            "link_ends": self._ends.clone(),
+            "nodes": torch.from_numpy(marks),
+        }
+        return {"graph": TensorDict(values, batch_size=[batch])}
+
+
+def _stack(*columns: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.stack([column.astype(np.float32) for column in columns], axis=-1))
+
+
+def _mean_where(values: np.ndarray, exists: np.ndarray) -> np.ndarray:
+    """Mean over what exists in each substrate, shaped to divide ``values`` [S, ...]."""
+    axes = tuple(range(1, values.ndim))
+    return (values * exists).sum(axis=axes, keepdims=True) / exists.sum(axis=axes, keepdims=True)

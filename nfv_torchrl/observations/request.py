@@ -1,0 +1,63 @@
+"""The request in hand, in plain numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torchrl.data import Composite, Unbounded
+
+from nfv_torchrl.simulator import Simulator
+
+INTEGERS = ("service", "ingress", "egress", "node", "function")
+NUMBERS = ("rate", "tolerable_delay", "remaining_delay")
+
+
+class RequestObservation:
+    """Key ``request``, nested; everything of shape [B].
+
+    int64: ``service`` (type index), ``ingress``, ``egress``, ``node`` (where the walk is), ``function`` (index of the
+    next function). float32: ``rate`` (Mbit/s), ``tolerable_delay`` and ``remaining_delay`` (ms), and ``lifetime`` (s)
+    if the scenario has ``observe_lifetime``. Zero past the end of the horizon.
+    """
+
+    def specs(self, simulator: Simulator) -> dict:
+        """See ``ObservationPart``."""
+        batch = torch.Size([simulator.batch_size])
+        spec = {name: Unbounded(batch, dtype=torch.int64) for name in INTEGERS}
+        spec |= {name: Unbounded(batch, dtype=torch.float32) for name in self._numbers(simulator)}
+        return {"request": Composite(spec, shape=batch)}
+
+    def read(self, simulator: Simulator) -> dict:
+        """See ``ObservationPart``."""
+        values = current_requests(simulator)
+        tensors = {name: torch.from_numpy(values[name]) for name in INTEGERS}
+        tensors |= {
+            name: torch.from_numpy(values[name].astype(np.float32)) for name in self._numbers(simulator)
+        }
+        return {"request": TensorDict(tensors, batch_size=[simulator.batch_size])}
+
+    @staticmethod
+    def _numbers(simulator: Simulator) -> tuple[str, ...]:
+        return (*NUMBERS, "lifetime") if simulator.scenarios[0].observe_lifetime else NUMBERS
+
+
+def current_requests(simulator: Simulator) -> dict[str, np.ndarray]:
+    """The request each environment is at, arrays [B] by name; zeros past the end of the horizon."""
+    env, arrivals, tables = simulator.world.env, simulator.world.arrivals, simulator.tables
+    rows = np.arange(simulator.batch_size)
+    active = env["done"] == 0
+    cursor = np.minimum(env["cursor"], arrivals.slot.shape[1] - 1)
+    service = np.where(active, arrivals.service[rows, cursor], 0).astype(np.int64)
+    tolerable = np.where(active, tables.tolerable_delay[service], 0.0)
+    return {
+        "service": service,
+        "ingress": np.where(active, arrivals.ingress[rows, cursor], 0).astype(np.int64),
+        "egress": np.where(active, arrivals.egress[rows, cursor], 0).astype(np.int64),
+        "node": np.where(active, env["node"], 0),
+        "function": np.where(active, env["function"], 0),
+        "rate": np.where(active, tables.rate[service], 0.0),
+        "tolerable_delay": tolerable,
+        "remaining_delay": np.where(active, tolerable - env["elapsed"], 0.0),
+        "lifetime": np.where(active, arrivals.lifetime[rows, cursor], 0.0),
+    }

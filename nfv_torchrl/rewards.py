@@ -1,0 +1,88 @@
+"""Rewards: one small function each, of what the last step brought.
+
+A reward is any callable ``reward(outcome, scale) -> float64 [B]``. ``outcome`` maps the names of
+``nfv_torchrl.simulator.OUTCOME`` to float64 [B]; ``scale`` holds the costs that make weights plain numbers. In a
+recipe's yaml a reward is a ``_target_`` with ``_partial_: true``, so a function of your own package works as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from nfv_torchrl.simulator.tables import Tables
+
+
+class CostScale(NamedTuple):
+    """Costs to measure by, $, float64 [B]: one per environment, since each may have a substrate of its own."""
+
+    step: np.ndarray
+    """phi_ref: the largest cost that a single step can have."""
+    request: np.ndarray
+    """Phi_ref: the largest cost, over the services, of a request whose functions are all on the dearest VM and whose
+    route crosses the dearest link as often as the network's hop diameter."""
+
+
+Reward = Callable[[Mapping[str, np.ndarray], CostScale], np.ndarray]
+
+
+def paper(
+    outcome: Mapping[str, np.ndarray], scale: CostScale, *, w_acc: float = 1.0, w_cost: float = 1.0
+) -> np.ndarray:
+    """The paper's reward (eq. reward_f): ``w_acc - w_cost * phi~ / phi_ref`` for a step that passes, else 0.
+
+    It is paid per step, so a longer walk earns more, and a rejected walk keeps what its steps earned.
+    """
+    return np.where(outcome["passed"] > 0, w_acc - w_cost * outcome["step_cost"] / scale.step, 0.0)
+
+
+def admission(
+    outcome: Mapping[str, np.ndarray], scale: CostScale, *, w_acc: float = 1.0, w_cost: float = 1.0
+) -> np.ndarray:
+    """Paid once, at the end: ``w_acc - w_cost * phi / Phi_ref`` for an accepted request, 0 for a rejected one."""
+    return np.where(outcome["accepted"] > 0, w_acc - w_cost * outcome["request_cost"] / scale.request, 0.0)
+
+
+def admission_step_cost(
+    outcome: Mapping[str, np.ndarray], scale: CostScale, *, w_acc: float = 1.0, w_cost: float = 0.2
+) -> np.ndarray:
+    """``w_acc`` on acceptance, and each step pays its own cost at once: ``- w_cost * phi~ / phi_ref``.
+
+    The sum over an accepted request is that of ``admission`` on another scale, but the cost is credited to the step
+    that caused it, which is learned from sooner.
+    """
+    return w_acc * outcome["accepted"] - w_cost * outcome["step_cost"] / scale.step
+
+
+def cost_scale(tables: Tables, net: np.ndarray) -> CostScale:
+    """The cost scale of every environment; ``net`` int64 [B] is its row of ``tables``."""
+    steps = np.array([_largest_step(tables, row) for row in range(len(tables.num_nodes))])
+    requests = np.array([_largest_request(tables, row) for row in range(len(tables.num_nodes))])
+    return CostScale(step=steps[net], request=requests[net])
+
+
+def _largest_step(tables: Tables, row: int) -> float:
+    """Place on a node's dearest VM after entering the node by its dearest link."""
+    largest = 0.0
+    for node in range(tables.num_nodes[row]):
+        vm = tables.vm_unit_cost[row, node, : tables.vm_count[row, node]].max()
+        links = tables.neighbour_link[row, node, : tables.degree[row, node]]
+        link = tables.link_unit_cost[row, links].max()
+        largest = max(largest, float((vm * tables.load.max(axis=1) + link * tables.rate).max()))
+    return largest
+
+
+def _largest_request(tables: Tables, row: int) -> float:
+    nodes, links = tables.num_nodes[row], tables.num_links[row]
+    reach = np.eye(nodes, dtype=bool)
+    step = reach.copy()
+    ends = tables.link_ends[row, :links]
+    step[ends[:, 0], ends[:, 1]] = step[ends[:, 1], ends[:, 0]] = True
+    diameter = 0
+    while not reach.all():
+        reach = reach @ step
+        diameter += 1
+    vm, link = tables.vm_unit_cost[row].max(), tables.link_unit_cost[row, :links].max()
+    return float((vm * tables.load.sum(axis=1) + link * diameter * tables.rate).max())
