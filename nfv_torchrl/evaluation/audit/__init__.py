@@ -18,24 +18,32 @@ from nfv_torchrl.evaluation.audit.files import RunFiles, read_run
 from nfv_torchrl.evaluation.audit.problems import UnreadableRun
 from nfv_torchrl.evaluation.audit.recompute import compare, recompute_metrics
 from nfv_torchrl.evaluation.audit.replay import replay
+from nfv_torchrl.evaluation.audit.summary import check_summary
 
 
 @dataclass
 class AuditReport:
-    """What the audit of one folder found: ``problems`` in words, empty if all is well, and the metrics anew."""
+    """What the audit of one folder found: ``problems`` in words, empty if all is well, and the metrics anew.
+
+    ``metrics`` is empty where nothing could be recomputed; ``seed`` is the workload seed as text, empty without one.
+    """
 
     folder: Path
     problems: list[str]
     metrics: dict[str, float | None] = field(default_factory=dict)
     requests: int = 0
+    method: str = ""
+    seed: str = ""
 
     @property
     def clean(self) -> bool:
         return not self.problems
 
     def raise_if_problems(self) -> None:
-        """Raises:
-        AuditError: there are problems; the message lists them.
+        """Do nothing if all is well.
+
+        Raises:
+            AuditError: there are problems; the message lists them.
         """
         if self.problems:
             raise AuditError("\n  ".join([f"{self.folder}: the audit found", *self.problems]))
@@ -54,7 +62,7 @@ def audit_run(folder: str | os.PathLike[str]) -> AuditReport:
     except UnreadableRun as error:
         return AuditReport(path, [str(error)])
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        # Files may hold anything: what nobody thought of is a problem of this run and shall not stop the audit of others.
+        # Files may hold anything: what nobody thought of is a problem of this run, and others are audited still.
         return AuditReport(path, [f"the files cannot be replayed: {error!r}"])
 
 
@@ -63,7 +71,15 @@ def _recompute(path: Path, files: RunFiles) -> AuditReport:
     metrics = {} if run is None else recompute_metrics(files, run)
     if run is not None:
         compare(files, metrics)
-    return AuditReport(path, files.problems.texts(), metrics, len(files.workload))
+    seed = files.scenario["seeds"].get("workload")
+    return AuditReport(
+        path,
+        files.problems.texts(),
+        metrics,
+        requests=len(files.workload),
+        method=files.scenario["method"],
+        seed="" if seed is None else str(seed),
+    )
 
 
 def find_runs(root: str | os.PathLike[str]) -> list[Path]:
@@ -80,6 +96,9 @@ def audit_folders(
     Args:
         roots: folders; one that holds no run is reported as a problem.
         progress: wraps the list of run folders to show how far the audit is (``tqdm``).
+
+    Returns:
+        One report a run, and one for each summary.csv that does not fit its runs.
     """
     runs = {root: find_runs(root) for root in roots}
     reports = [AuditReport(Path(root), ["no run in this folder"]) for root, found in runs.items() if not found]
@@ -88,6 +107,13 @@ def audit_folders(
     by_folder = {report.folder: report for report in reports}
     for folder, problem in _other_worlds(folders):
         by_folder[folder].problems.append(problem)
+    for root, found in runs.items():
+        for output in sorted({folder.parent.parent for folder in found}):
+            # Only where all runs of the evaluation were audited, not where one of them was asked for.
+            if output.is_relative_to(root) and (output / "summary.csv").exists():
+                here = {(r.method, r.seed): r.metrics for r in reports if r.folder.parent.parent == output}
+                problems = check_summary(output, here)
+                reports += [AuditReport(output / "summary.csv", problems)] if problems else []
     return reports
 
 
