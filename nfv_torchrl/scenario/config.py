@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
+import numbers
+import os
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Union, get_args, get_origin
 
@@ -123,18 +124,18 @@ def _services(config: Any) -> dict[str, ServiceType]:
     where = "scenario.services"
     if isinstance(config, Mapping):
         entries = [(str(name), service) for name, service in config.items()]
-    elif isinstance(config, list | tuple):
+    elif isinstance(config, Sequence) and not isinstance(config, str):
         entries = [(service.get("name", "") if isinstance(service, Mapping) else "", service) for service in config]
     else:
         raise ScenarioError(f"{where}: is {config!r}; a mapping or list of services was expected")
     services: dict[str, ServiceType] = {}
     for name, service in entries:
-        if name in services:
-            raise ScenarioError(f"{where}: {name!r} is there twice; names must differ")
         if isinstance(service, Mapping):
             service = _parse_dataclass(ServiceType, {"name": name, **service}, f"{where}.{name}")
         if not isinstance(service, ServiceType):
             raise ScenarioError(f"{where}.{name}: is {service!r}; give chain, rate, tolerable_delay and weight")
+        if service.name in services:
+            raise ScenarioError(f"{where}: {service.name!r} is there twice; names must differ")
         services[service.name] = service
     return services
 
@@ -166,6 +167,8 @@ def _parse(value: Any, hint: Any, where: str) -> Any:
         return _parse_sequence(value, get_args(hint), where)
     if hint is Any or (isinstance(hint, type) and hint is not float and hint is not int and isinstance(value, hint)):
         return value
+    if hint is str and isinstance(value, os.PathLike):
+        return os.fspath(value)
     if hint in (int, float):
         return _parse_number(value, hint, where)
     expected = {bool: "true or false", str: "text"}.get(hint, f"a {hint}")
@@ -189,15 +192,16 @@ def _parse_mapping(value: Any, hint: Any, where: str) -> dict[str, Any]:
 def _parse_sequence(value: Any, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
     endless = hints[-1] is Ellipsis
     expected = "a list" if endless else "two numbers [low, high]"
-    if isinstance(value, str) or not isinstance(value, list | tuple) or not (endless or len(value) == len(hints)):
+    if isinstance(value, str) or not isinstance(value, Sequence) or not (endless or len(value) == len(hints)):
         raise ScenarioError(f"{where}: {value!r} where {expected} was expected")
     return tuple(_parse(item, hints[0], f"{where}[{place}]") for place, item in enumerate(value))
 
 
 def _parse_number(value: Any, hint: Any, where: str) -> int | float:
     expected = "an integer" if hint is int else "a finite number"
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    # A comparison, because math.isfinite chokes on integers beyond a float's range.
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not -1e300 < value < 1e300:
         raise ScenarioError(f"{where}: {value!r} where {expected} was expected")
-    if hint is int and value != int(value):
+    if hint is int and value != round(value):
         raise ScenarioError(f"{where}: {value!r} where {expected} was expected")
     return hint(value)

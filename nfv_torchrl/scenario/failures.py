@@ -58,7 +58,7 @@ class FailureTimeline:
         return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, bool))
 
     def to_events(self, substrate: Substrate) -> list[dict[str, Any]]:
-        """For JSON: each a ``slot``, an ``event`` (``repair``, ``failure``) and a ``vm`` [node, VM] or ``link`` [u, v]."""
+        """For JSON: ``slot``, ``event`` (``repair`` or ``failure``), and ``vm`` [node, VM] or ``link`` [u, v]."""
         events = []
         vms = substrate.num_nodes * substrate.max_vms
         for slot, resource, up in zip(self.slot.tolist(), self.resource.tolist(), self.up.tolist(), strict=True):

@@ -34,6 +34,7 @@ def merge_links(links: Links, source: str) -> Links:
     delay = np.full(len(unique), np.inf)
     unit_cost = np.full(len(unique), np.inf)
     np.add.at(capacity, group, np.asarray(links.capacity, np.float64)[proper])
-    np.minimum.at(delay, group, np.asarray(links.delay, np.float64)[proper])
-    np.minimum.at(unit_cost, group, np.asarray(links.unit_cost, np.float64)[proper])
+    with np.errstate(invalid="ignore"):  # a NaN stays one, for the substrate to refuse
+        np.minimum.at(delay, group, np.asarray(links.delay, np.float64)[proper])
+        np.minimum.at(unit_cost, group, np.asarray(links.unit_cost, np.float64)[proper])
     return Links(unique, capacity, delay, unit_cost)

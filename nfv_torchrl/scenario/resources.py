@@ -43,10 +43,10 @@ class ResourceRanges:
             self._check(field.name, low, high)
         low, high = self.vms
         if low < 1 or int(low) != low or int(high) != high:
-            raise ScenarioError(f"vms: [{low}, {high}] are not VM counts; use integers from 1 (vms_min, vms_max)")
+            raise ScenarioError(f"vms_min, vms_max: [{low}, {high}] are not VM counts; use integers from 1")
 
     def _check(self, name: str, low: float, high: float) -> None:
-        hint = f"{name}: [{low}, {high}]"
+        hint = f"{'vms_min, vms_max' if name == 'vms' else name}: [{low}, {high}]"
         if not (np.isfinite(low) and np.isfinite(high)):
             raise ScenarioError(f"{hint} is not finite; give two numbers [low, high]")
         if low > high:

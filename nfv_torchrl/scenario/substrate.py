@@ -257,6 +257,8 @@ class Substrate:
         try:
             for node in nodes:
                 graph.add_node(node["id"], **{key: value for key, value in node.items() if key != "id"})
+            if len(graph) != len(nodes):
+                raise ScenarioError(f"{path}: two nodes have the same 'id'; ids must differ")
             for link in links:
                 for end in (link["source"], link["target"]):
                     if end not in graph:
@@ -267,8 +269,6 @@ class Substrate:
             raise ScenarioError(
                 f"{path}: each node needs an 'id', each link a 'source' and a 'target' ({error!r})"
             ) from error
-        if len(graph) != len(nodes):
-            raise ScenarioError(f"{path}: two nodes have the same 'id'; ids must differ")
         if not graph.graph.get("name"):
             graph.graph["name"] = Path(path).stem
         return cls.from_networkx(graph, source=str(path))
