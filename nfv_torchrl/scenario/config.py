@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import numbers
 import os
 import types
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Union, get_args, get_origin
+
+import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureModel
@@ -200,7 +201,11 @@ def _parse_sequence(value: Any, hints: tuple[Any, ...], where: str) -> tuple[Any
 def _parse_number(value: Any, hint: Any, where: str) -> int | float:
     expected = "an integer" if hint is int else "a finite number"
     # A comparison, because math.isfinite chokes on integers beyond a float's range.
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not -1e300 < value < 1e300:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float | np.integer | np.floating)
+        or not -1e300 < value < 1e300
+    ):
         raise ScenarioError(f"{where}: {value!r} where {expected} was expected")
     if hint is int and value != round(value):
         raise ScenarioError(f"{where}: {value!r} where {expected} was expected")

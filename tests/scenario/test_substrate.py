@@ -144,7 +144,7 @@ def test_refuses(changes, message):
 
 def test_refuses_a_disconnected_graph():
     kept = [0, 1, 2]  # node 3 loses its links
-    with pytest.raises(ScenarioError, match=r"'toy': is not connected \\(2 parts\\)"):
+    with pytest.raises(ScenarioError, match=r"'toy': is not connected \(2 parts\)"):
         dataclasses.replace(
             toy.toy_substrate(),
             links=toy.toy_substrate().links[kept],
