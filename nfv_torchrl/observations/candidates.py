@@ -36,19 +36,18 @@ FEATURES = (
 """Columns of the candidate rows; one column per service type (one-hot) follows."""
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _finish_costs(tables, net, colocation, service, costs):
-    """Fill ``costs`` [F + 1, N, N]: least cost from (functions placed, node) to the egress, empty network."""
+    """Fill ``costs`` [F + 1, N, N], infinite before: least cost from (functions placed, node) to the egress, empty network."""
     nodes = tables.num_nodes[net]
     functions = tables.chain_length[service]
     rate = tables.rate[service]
-    costs[:] = np.inf
     for i in range(functions, -1, -1):
         for egress in range(nodes):
             _finish_costs_from(tables, net, colocation, rate, service, i, functions, egress, costs)
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _finish_costs_from(tables, net, colocation, rate, service, i, functions, egress, costs):
     """One layer of ``_finish_costs`` by Bellman-Ford: all nodes with i functions placed, towards one egress."""
     nodes = tables.num_nodes[net]
@@ -78,7 +77,7 @@ def _finish_costs_from(tables, net, colocation, rate, service, i, functions, egr
                 changed = True
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _cheapest_vm(tables, net, node):
     cheapest = np.inf
     for vm in range(tables.vm_count[net, node]):
@@ -109,13 +108,12 @@ def reference_costs(tables: Tables, costs: np.ndarray) -> np.ndarray:
     return references
 
 
-@njit(cache=True)
+@njit(cache=True, _nrt=False)
 def _write_row(world, b, costs, references, action, row):
     """Features of one valid action other than reject."""
     tables, ledger, e = world.tables, world.ledger, world.env[b]
     vms = ledger.vm_offered.shape[2]
-    net, service = e.net, np.int64(world.arrivals.service[b, e.cursor])
-    egress = np.int64(world.arrivals.egress[b, e.cursor])
+    net, service, egress = e.net, e.service, e.egress
     node, vm, place = action // (2 * vms), (action // 2) % vms, action % 2 == 1
     link = np.int64(-1) if node == e.node else _find_link(tables, net, e.node, node)
     tolerable = tables.tolerable_delay[service]
@@ -164,16 +162,18 @@ def _write_row(world, b, costs, references, action, row):
     row[16] = left / whole
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, _nrt=False)
 def write_candidates(world, costs, references, rows, actions, mask):
     """Fill ``rows`` float32 [B, C, features], ``actions`` int64 [B, C] and ``mask`` bool [B, C] from the world."""
     features = rows.shape[2] - world.tables.load.shape[0]
     reject = world.seen.mask.shape[1] - 1
     for b in range(rows.shape[0]):
         e = world.env[b]
-        rows[b] = 0.0
-        actions[b] = reject
-        mask[b] = False
+        for k in range(rows.shape[1]):
+            actions[b, k] = reject
+            mask[b, k] = False
+            for column in range(rows.shape[2]):
+                rows[b, k, column] = 0.0
         for k in range(e.mask_count):
             action = np.int64(world.seen.valid[b, k])
             actions[b, k] = action
@@ -186,7 +186,7 @@ def write_candidates(world, costs, references, rows, actions, mask):
             row[17] = e.vm_used / world.tables.vm_total[e.net]
             row[18] = e.link_used / world.tables.link_total[e.net]
             if e.done == 0:
-                row[features + world.arrivals.service[b, e.cursor]] = 1.0
+                row[features + e.service] = 1.0
 
 
 class CandidateObservation:

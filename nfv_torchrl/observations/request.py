@@ -44,20 +44,11 @@ class RequestObservation:
 
 def current_requests(simulator: Simulator) -> dict[str, np.ndarray]:
     """The request each environment is at, arrays [B] by name; zeros past the end of the horizon."""
-    env, arrivals, tables = simulator.world.env, simulator.world.arrivals, simulator.tables
-    rows = np.arange(simulator.batch_size)
+    env, tables = simulator.world.env, simulator.tables
     active = env["done"] == 0
-    cursor = np.minimum(env["cursor"], arrivals.slot.shape[1] - 1)
-    service = np.where(active, arrivals.service[rows, cursor], 0).astype(np.int64)
-    tolerable = np.where(active, tables.tolerable_delay[service], 0.0)
-    return {
-        "service": service,
-        "ingress": np.where(active, arrivals.ingress[rows, cursor], 0).astype(np.int64),
-        "egress": np.where(active, arrivals.egress[rows, cursor], 0).astype(np.int64),
-        "node": np.where(active, env["node"], 0),
-        "function": np.where(active, env["function"], 0),
-        "rate": np.where(active, tables.rate[service], 0.0),
-        "tolerable_delay": tolerable,
-        "remaining_delay": np.where(active, tolerable - env["elapsed"], 0.0),
-        "lifetime": np.where(active, arrivals.lifetime[rows, cursor], 0.0),
-    }
+    values = {name: np.where(active, env[name], 0) for name in (*INTEGERS, "lifetime")}
+    service = values["service"]
+    values["rate"] = np.where(active, tables.rate[service], 0.0)
+    values["tolerable_delay"] = np.where(active, tables.tolerable_delay[service], 0.0)
+    values["remaining_delay"] = np.where(active, values["tolerable_delay"] - env["elapsed"], 0.0)
+    return values

@@ -262,8 +262,14 @@ def _next_request(world, b):
 
 @njit(cache=True, _nrt=False)
 def _begin_request(world, b):
-    e = world.env[b]
-    e.node = world.arrivals.ingress[b, e.cursor]
+    arrivals, e = world.arrivals, world.env[b]
+    e.service = arrivals.service[b, e.cursor]
+    e.ingress = arrivals.ingress[b, e.cursor]
+    e.egress = arrivals.egress[b, e.cursor]
+    e.lifetime = arrivals.lifetime[b, e.cursor]
+    e.service_share = arrivals.service_share[b, e.cursor]
+    e.request_slot = e.slot
+    e.node = e.ingress
     e.last_vm = 0
     e.function = 0
     e.steps = 0
@@ -289,13 +295,13 @@ def _move_one(flat, b, old, new):
 @njit(cache=True, _nrt=False)
 def _show_request(world, b):
     """The five numbers of the request in the flat observation and, when on, the one-hot features after them."""
-    tables, arrivals, e = world.tables, world.arrivals, world.env[b]
+    tables, e = world.tables, world.env[b]
     flat = world.seen.flat
     _, nodes, vms = world.ledger.vm_offered.shape
     services, functions = tables.load.shape
     base = nodes * vms + world.ledger.link_offered.shape[1]
-    service = np.int64(arrivals.service[b, e.cursor])
-    flat[b, base] = arrivals.service_share[b, e.cursor]
+    service = e.service
+    flat[b, base] = e.service_share
     flat[b, base + 1] = e.node / max(nodes - 1, 1)
     flat[b, base + 2] = e.last_vm / max(vms - 1, 1)
     flat[b, base + 3] = e.function / functions
@@ -304,8 +310,7 @@ def _show_request(world, b):
         base += 5
         e.hot_service = _move_one(flat, b, e.hot_service, base + service)
         e.hot_node = _move_one(flat, b, e.hot_node, base + services + e.node)
-        egress = np.int64(arrivals.egress[b, e.cursor])
-        e.hot_egress = _move_one(flat, b, e.hot_egress, base + services + nodes + egress)
+        e.hot_egress = _move_one(flat, b, e.hot_egress, base + services + nodes + e.egress)
         e.hot_function = _move_one(flat, b, e.hot_function, base + services + 2 * nodes + e.function)
 
 
@@ -376,8 +381,8 @@ def _write_mask(world, b):
         mask[b, valid[b, k]] = False
     count = 0
     if e.done == 0:
-        service = np.int64(world.arrivals.service[b, e.cursor])
-        egress = np.int64(world.arrivals.egress[b, e.cursor])
+        service = e.service
+        egress = e.egress
         unplaced = e.function < tables.chain_length[service]
         if e.node == egress:
             count = _add_moves(world, b, count, service, egress, -1, egress, False, True)
@@ -502,12 +507,12 @@ def step_env(world, b, action):
     out[b, DONE] = 1.0
     if e.done == 1:
         return
-    service = np.int64(world.arrivals.service[b, e.cursor])
+    service = e.service
     out[b, SERVICE] = service
-    out[b, REQUEST_SLOT] = world.arrivals.slot[b, e.cursor]
+    out[b, REQUEST_SLOT] = e.request_slot
     reject = world.seen.mask.shape[1] - 1
     if action == reject:
-        if e.mask_count == 1:
+        if e.mask_count == 1 and world.seen.mask[b, reject]:
             reason = NO_FEASIBLE_ACTION
         elif world.rules.admission_control:
             reason = REJECTED_BY_POLICY
@@ -520,7 +525,7 @@ def step_env(world, b, action):
         reason = _move(world, b, service, action)
         if reason != PASSES:
             _finish(world, b, reason)
-        elif e.node == world.arrivals.egress[b, e.cursor] and e.function == world.tables.chain_length[service]:
+        elif e.node == e.egress and e.function == world.tables.chain_length[service]:
             _finish(world, b, NO_REASON)
         else:
             _show_request(world, b)
@@ -609,11 +614,11 @@ def thrifty_action(world, b):
     Functions not placed yet are counted at the network's mean VM unit cost, so that a VM cheaper than that is taken
     on the way. Used to load the network for staggered starts, not as a method of its own.
     """
-    tables, arrivals, e = world.tables, world.arrivals, world.env[b]
+    tables, e = world.tables, world.env[b]
     vms = world.ledger.vm_offered.shape[2]
     reject = world.seen.mask.shape[1] - 1
-    service = np.int64(arrivals.service[b, e.cursor])
-    egress = np.int64(arrivals.egress[b, e.cursor])
+    service = e.service
+    egress = e.egress
     rate = tables.rate[service]
     best = np.int64(reject)
     best_score = np.inf

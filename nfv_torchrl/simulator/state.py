@@ -21,6 +21,12 @@ ENV_DTYPE = np.dtype(
         ("warmup", "i8"),  # first slot that counts in slot statistics
         ("cursor", "i8"),  # request being handled
         ("num_requests", "i8"),
+        ("service", "i8"),  # that request, copied here since its arrays are far away in memory
+        ("ingress", "i8"),
+        ("egress", "i8"),
+        ("lifetime", "f8"),
+        ("service_share", "f8"),
+        ("request_slot", "i8"),
         ("event_cursor", "i8"),  # next failure or repair
         ("num_events", "i8"),
         ("node", "i8"),  # the walk: current node, VM, functions placed, steps, links used
