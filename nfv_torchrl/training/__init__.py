@@ -1,0 +1,1 @@
+"""What recipes share: command lines, schedules, checkpoints, logging."""

@@ -1,0 +1,44 @@
+"""What the command lines of the recipes share."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable
+from typing import NoReturn, ParamSpec, TypeVar
+
+from hydra.errors import InstantiationException
+
+from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+EXPECTED = (ScenarioError, CheckpointError, AuditError)
+"""Errors whose message names the culprit and the remedy: a traceback would only bury it."""
+
+
+def clear_errors(main: Callable[P, R]) -> Callable[P, R]:
+    """Decorate a recipe's ``main``: an expected error prints ``error: ...`` to stderr and exits with code 2.
+
+    Put it between ``@hydra.main(...)`` and the function. An expected error raised inside ``hydra.utils.instantiate``
+    is shown in the same way. Anything else keeps its traceback.
+    """
+
+    @functools.wraps(main)
+    def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return main(*args, **kwargs)
+        except EXPECTED as error:
+            _leave(error)
+        except InstantiationException as error:
+            if not isinstance(error.__cause__, EXPECTED):
+                raise
+            _leave(error.__cause__)
+
+    return guarded
+
+
+def _leave(error: BaseException) -> NoReturn:
+    print(f"error: {error}", file=sys.stderr)
+    raise SystemExit(2) from None
