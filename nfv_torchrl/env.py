@@ -139,12 +139,10 @@ class NFVEnv(EnvBase):
         self._continue = False
         outcome = torch.zeros(*self.batch_size, len(OUTCOME), dtype=torch.float64)
         outcome[:, REASON] = -1
-        done = torch.from_numpy(self.simulator.world.env["done"] > 0).unsqueeze(-1)
+        # An horizon without any request is over before its first step; a root that is done would be reset for ever, so
+        # that is said with the first step instead. Rows that are not reset keep what TorchRL has for them.
+        done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
         keys = {**self._seen(), **self._outcome_keys(outcome), "done": done, "terminated": done.clone()}
-        if tensordict is None or tensordict.get("_reset", None) is None:
-            # An horizon without any request is over before its first step; a root that is done would be reset for
-            # ever, so that is said with the first step instead.
-            keys["done"], keys["terminated"] = torch.zeros_like(done), torch.zeros_like(done)
         return TensorDict(keys, batch_size=self.batch_size)
 
     def _rows_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:

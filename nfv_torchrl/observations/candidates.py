@@ -38,7 +38,7 @@ FEATURES = (
 
 @njit(cache=True, _nrt=False)
 def _finish_costs(tables, net, colocation, service, costs):
-    """Fill ``costs`` [F + 1, N, N], infinite before: least cost from (functions placed, node) to the egress, empty network."""
+    """Fill ``costs`` [F + 1, N, N], infinite before: least costs by functions placed, current node, egress."""
     nodes = tables.num_nodes[net]
     functions = tables.chain_length[service]
     rate = tables.rate[service]
@@ -124,9 +124,10 @@ def _write_row(world, b, costs, references, action, row):
     row[1] = place
     row[2] = link < 0
     row[3] = node == egress
-    row[4] = PASSES == check_step(
+    refusal = check_step(
         tables, world.rules, ledger, b, net, service, e.function, e.elapsed, e.steps, link, node, vm, place
     )
+    row[4] = refusal == PASSES
     if place:
         load = tables.load[service, e.function]
         vm_taken = tables.load_units[service, e.function]
@@ -236,9 +237,5 @@ class CandidateObservation:
         values = torch.empty(batch, rows, features)
         actions = torch.empty(batch, rows, dtype=torch.int64)
         mask = torch.empty(batch, rows, dtype=torch.bool)
-        write_candidates(
-            simulator.world, self._costs, self._references, values.numpy(), actions.numpy(), mask.numpy()
-        )
-        return {
-            "candidates": TensorDict({"features": values, "action": actions, "mask": mask}, batch_size=[batch])
-        }
+        write_candidates(simulator.world, self._costs, self._references, values.numpy(), actions.numpy(), mask.numpy())
+        return {"candidates": TensorDict({"features": values, "action": actions, "mask": mask}, batch_size=[batch])}

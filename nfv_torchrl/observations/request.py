@@ -32,9 +32,7 @@ class RequestObservation:
         """See ``ObservationPart``."""
         values = current_requests(simulator)
         tensors = {name: torch.from_numpy(values[name]) for name in INTEGERS}
-        tensors |= {
-            name: torch.from_numpy(values[name].astype(np.float32)) for name in self._numbers(simulator)
-        }
+        tensors |= {name: torch.from_numpy(values[name].astype(np.float32)) for name in self._numbers(simulator)}
         return {"request": TensorDict(tensors, batch_size=[simulator.batch_size])}
 
     @staticmethod

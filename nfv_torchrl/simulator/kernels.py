@@ -27,7 +27,6 @@ from nfv_torchrl.simulator.state import (
     SLOT_VM_USE,
     SLOTS_CLOSED,
     STEP_COST,
-    World,
 )
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
@@ -91,10 +90,9 @@ def _give_back(tables, ledger, env, flat, b, resource, amount):
 @njit(cache=True, _nrt=False)
 def _release_walk(world, b):
     """A rejected walk gives back at once all that it had reserved."""
+    walk = world.walk
     for k in range(world.env[b].entries):
-        _give_back(
-            world.tables, world.ledger, world.env, world.seen.flat, b, world.walk.resource[b, k], world.walk.amount[b, k]
-        )
+        _give_back(world.tables, world.ledger, world.env, world.seen.flat, b, walk.resource[b, k], walk.amount[b, k])
 
 
 @njit(cache=True, _nrt=False)
@@ -643,11 +641,13 @@ def thrifty_action(world, b):
 
 @njit(cache=True, nogil=True, _nrt=False)
 def forward_env(world, b, slot):
-    """Play ``thrifty_action`` in environment b until ``slot``, or until a pool runs low. Returns True if it arrived."""
+    """Play ``thrifty_action`` in environment b until ``slot``, or until room runs low. Returns True if it arrived."""
     e = world.env[b]
-    room = 2 * world.rules.max_steps
+    steps = world.rules.max_steps
     while e.slot < slot and e.done == 0:
-        if e.free_records < 1 or e.free_entries < room:
+        if e.free_records < 1 or e.free_entries < 2 * steps:
+            return False
+        if world.log.enabled and world.log.action.shape[1] - e.log_length < steps:
             return False
         step_env(world, b, thrifty_action(world, b))
     return True
@@ -659,7 +659,7 @@ def random_steps(world, steps, seeds):
 
     Environments that end their horizon, or run out of room, start it again. Returns the number of requests answered.
     """
-    requests = 0
+    requests = np.int64(0)
     room = 2 * world.rules.max_steps
     for b in range(world.env.shape[0]):
         e = world.env[b]
@@ -675,4 +675,3 @@ def random_steps(world, steps, seeds):
                 start_env(world, b)
         seeds[b] = x
     return requests
-

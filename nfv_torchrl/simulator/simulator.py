@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,7 +13,18 @@ from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
 from nfv_torchrl.simulator import kernels
-from nfv_torchrl.simulator.state import OUTCOME, World, grow_pools, new_arrivals, new_log, new_world, widen
+from nfv_torchrl.simulator.reasons import NO_REASON
+from nfv_torchrl.simulator.state import (
+    OUTCOME,
+    REASON,
+    World,
+    clear_log,
+    grow_pools,
+    new_arrivals,
+    new_log,
+    new_world,
+    widen,
+)
 from nfv_torchrl.simulator.tables import Rules, Tables, build_tables
 
 
@@ -63,9 +75,7 @@ class Simulator:
         first = self.scenarios[0]
         net = np.arange(batch_size) % len(self.scenarios)
         tables = build_tables([s.substrate for s in self.scenarios], first.catalogue)
-        self.world: World = new_world(
-            tables, scenario_rules(first), net, first.horizon, first.warmup, one_hot, record
-        )
+        self.world: World = new_world(tables, scenario_rules(first), net, first.horizon, first.warmup, one_hot, record)
         self._service_shares = [_service_shares(scenario) for scenario in self.scenarios]
         self.world.env["done"] = 1
         self._grow_until_roomy()
@@ -111,20 +121,37 @@ class Simulator:
             start_slot: play a quick compiled rule until this slot first, so that the network is loaded.
         """
         self.load_arrivals(b, workload, timeline)
+        if self.world.log.enabled:
+            clear_log(self.world.log, b)
         kernels.start_env(self.world, b)
+        self._make_room(*self._room(b))
         while not kernels.forward_env(self.world, b, start_slot):
-            self.world = grow_pools(self.world)
+            self._make_room(*self._room(b))
         self.world.outcome[b] = 0.0
+        self.world.outcome[b, REASON] = NO_REASON
 
     def step(self, actions: np.ndarray) -> None:
-        """One step of every environment with ``actions`` int64 [B]; an environment past its horizon stays there."""
+        """One step of every environment; one past its horizon stays there.
+
+        Args:
+            actions: int64 [B]. What is no action at all answers the request with ``invalid_action``.
+
+        Raises:
+            ValueError: another shape than [B].
+        """
+        # Kernels are compiled for contiguous int64 arrays and do not check bounds.
+        actions = np.ascontiguousarray(actions, np.int64)
+        if actions.shape != (self.batch_size,):
+            raise ValueError(
+                f"actions have shape {list(actions.shape)}; one index for each of [{self.batch_size}] is needed"
+            )
         if self._pool is None:
             room = kernels.step_range(self.world, actions, 0, self.batch_size)
         else:
             bounds = np.linspace(0, self.batch_size, self.threads + 1).astype(int).tolist()
             waiting = [
                 self._pool.submit(kernels.step_range, self.world, actions, first, last)
-                for first, last in zip(bounds[1:-1], bounds[2:], strict=True)
+                for first, last in pairwise(bounds[1:])
             ]
             rooms = [kernels.step_range(self.world, actions, bounds[0], bounds[1])]
             rooms += [future.result() for future in waiting]
@@ -133,11 +160,19 @@ class Simulator:
 
     def _make_room(self, records: int, entries: int, places: int) -> None:
         """Enlarge what the next step could fill: it may end one walk, of at most J steps and 2 J reservations."""
-        if records < 1 or entries < 2 * self.world.rules.max_steps:
+        steps = self.world.rules.max_steps
+        if records < 1 or entries < 2 * steps:
             self.world = grow_pools(self.world)
-        if self.world.log.enabled and places < self.world.rules.max_steps:
-            log = self.world.log
-            self.world = self.world._replace(log=log._replace(action=widen(log.action, 2 * log.action.shape[1])))
+        log = self.world.log
+        if log.enabled and places < steps:
+            have = log.action.shape[1]
+            self.world = self.world._replace(log=log._replace(action=widen(log.action, have + max(have, steps))))
+
+    def _room(self, b: int) -> tuple[int, int, int]:
+        """Free records, reservations and log places of environment b."""
+        e = self.world.env[b]
+        places = self.world.log.action.shape[1] - e["log_length"]
+        return int(e["free_records"]), int(e["free_entries"]), int(places)
 
     def _grow_until_roomy(self) -> None:
         while self.world.running.entry_next.shape[1] < 4 * self.world.rules.max_steps:

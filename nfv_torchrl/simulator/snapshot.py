@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.simulator.state import ENV_DTYPE, World
+from nfv_torchrl.simulator.state import ENV_DTYPE, View, World
 
 _GROUPS = ("ledger", "running", "walk")
 _SEEN = ("mask", "valid", "flat")
@@ -35,10 +35,10 @@ def restore_snapshot(world: World, copies: dict[str, np.ndarray]) -> World:
     env = copies["env"]
     if env.shape != (len(world.env), ENV_DTYPE.itemsize):
         raise CheckpointError(f"the snapshot holds {env.shape[0]} environments, this run has {len(world.env)}")
-    for name in ("ledger.vm_offered", "ledger.link_offered", "seen.mask", "seen.flat", "running.head"):
+    for name in ("ledger.vm_offered", "ledger.link_offered", "seen.mask", "seen.flat", "running.head", "walk.action"):
         group, field = name.split(".")
         if copies[name].shape != getattr(getattr(world, group), field).shape:
-            raise CheckpointError(f"the snapshot's {name} has shape {copies[name].shape}: another network or horizon")
+            raise CheckpointError(f"the snapshot's {name} has shape {copies[name].shape}: another scenario")
     world.env[:] = np.ascontiguousarray(env).view(ENV_DTYPE).reshape(-1)
     fresh = {
         group: getattr(world, group)._replace(
@@ -46,5 +46,5 @@ def restore_snapshot(world: World, copies: dict[str, np.ndarray]) -> World:
         )
         for group in _GROUPS
     }
-    seen = world.seen._replace(**{name: copies[f"seen.{name}"].copy() for name in _SEEN})
+    seen = View(*(copies[f"seen.{name}"].copy() for name in _SEEN), one_hot=world.seen.one_hot)
     return world._replace(seen=seen, **fresh)

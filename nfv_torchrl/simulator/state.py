@@ -257,6 +257,15 @@ def new_log(batch: int, requests: int, enabled: bool) -> Log:
     )
 
 
+def clear_log(log: Log, b: int) -> None:
+    """Forget the answers of environment b."""
+    log.reason[b] = -1
+    log.delay[b] = np.nan
+    log.cost[b] = np.nan
+    log.hops[b] = 0
+    log.interrupted_at[b] = -1
+
+
 def _new_running(batch: int, horizon: int, records: int, entries: int) -> Running:
     return Running(
         head=np.full((batch, horizon + 1), -1, np.int32),
@@ -287,11 +296,7 @@ def grow_pools(world: World) -> World:
     running, env = world.running, world.env
     records, entries = running.record_next.shape[1], running.entry_next.shape[1]
     grown = running._replace(
-        **{
-            name: widen(array, 2 * array.shape[1])
-            for name, array in running._asdict().items()
-            if name != "head"
-        }
+        **{name: widen(array, 2 * array.shape[1]) for name, array in running._asdict().items() if name != "head"}
     )
     _chain(grown.record_next, records, env["free_record"])
     _chain(grown.entry_next, entries, env["free_entry"])

@@ -15,7 +15,7 @@ from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.units import to_ledger
 
 DELAY_TOLERANCE = 1e-9
-"""ms by which a sum of delays may exceed the budget: sums taken in another order differ by less, real delays by more."""
+"""ms by which a sum of delays may exceed the budget: the order of adding changes less, a real delay more."""
 
 
 class Rules(NamedTuple):
