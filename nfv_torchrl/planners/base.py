@@ -110,9 +110,7 @@ class CompiledPlanner:
         if self._scratch is None:
             self.prepare(tables, rules)
         while True:
-            steps = self._kernel(
-                tables, rules, net, vm_offered, link_offered, service, ingress, egress, plan_out
-            )
+            steps = self._kernel(tables, rules, net, vm_offered, link_offered, service, ingress, egress, plan_out)
             if steps != OVERFLOW:
                 return int(steps)
             self._scratch = self._grow(tables)

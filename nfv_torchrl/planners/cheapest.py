@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from nfv_torchrl.planners.compiled import kernel
 from nfv_torchrl.planners.labels import (
     FOUND,
     Critical,
@@ -71,7 +71,7 @@ def grow_scratch(tables: Tables, scratch: Scratch) -> Scratch:
     return grown
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def plan_cheapest(
     tables,
     rules,
@@ -117,13 +117,13 @@ def plan_cheapest(
         return steps
     encode_walk(scratch.walk, steps, vm_offered.shape[1], plan)
     scratch.result[0], scratch.result[2] = walk_totals(problem, scratch.walk, steps, vm_unit_price, link_unit_price)
-    scratch.result[1] = walk_totals(
-        problem, scratch.walk, steps, tables.vm_unit_cost[net], tables.link_unit_cost[net]
-    )[0]
+    scratch.result[1] = walk_totals(problem, scratch.walk, steps, tables.vm_unit_cost[net], tables.link_unit_cost[net])[
+        0
+    ]
     return steps
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cheapest_walk(problem, links, scratch):
     """Steps of the best walk, written to ``scratch.walk``.
 
@@ -161,7 +161,7 @@ def _cheapest_walk(problem, links, scratch):
             return steps
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _track(problem, scratch, steps):
     """Make critical what the walk overused: resources, or the number of steps. 0 if nothing was."""
     outcome = add_overused(problem, scratch.walk, steps, scratch.critical)
@@ -171,7 +171,7 @@ def _track(problem, scratch, steps):
     return outcome
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _follow(problem, to_go, walk):
     """The walk that the bounds describe."""
     node = problem.ingress

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.base import CompiledPlanner
+from nfv_torchrl.planners.compiled import kernel
 from nfv_torchrl.planners.placing import Placing, grow_placing, lay_walk, make_placing, place_greedily
 from nfv_torchrl.planners.walks import OVERFLOW, encode_walk, make_problem, walk_totals
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def encode_placement(problem, placing, number, position, vm, plan):
     """Write a feasible placement on path ``number`` as actions; returns how many, 0 if it fails the step checks."""
     steps = lay_walk(problem, placing, number, position, vm)
@@ -30,7 +29,7 @@ def encode_placement(problem, placing, number, position, vm, plan):
     return steps
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def plan_greedy(tables, rules, net, vm_offered, link_offered, service, ingress, egress, placing, plan):
     """Plan one request greedily; see ``CompiledPlanner.plan``.
 
@@ -61,7 +60,7 @@ def plan_greedy(tables, rules, net, vm_offered, link_offered, service, ingress, 
     return encode_placement(problem, placing, number, placing.position[best], placing.vm[best], plan)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def plan_greedy_batch(
     tables, rules, rows, env_net, vm_offered, link_offered, service, ingress, egress, placing, plans, lengths
 ):

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from nfv_torchrl.planners.compiled import inlined, kernel
 from nfv_torchrl.planners.walks import OVERFLOW
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
@@ -84,7 +84,7 @@ def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
     )
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def begin_request(problem, critical):
     """Forget the critical resources of the request before."""
     for c in range(critical.count[0]):
@@ -95,7 +95,7 @@ def begin_request(problem, critical):
         critical.tail[i] = critical.tail[i + 1] + problem.load_units[i]
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def offered_of(problem, resource):
     """Ledger units that ``resource`` offers."""
     nodes, vms = problem.vm_offered.shape
@@ -104,7 +104,7 @@ def offered_of(problem, resource):
     return problem.vm_offered[resource // vms, resource % vms]
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def add_overused(problem, walk, steps, critical):
     """Mark every resource that the walk takes more of than is offered as critical.
 
@@ -141,7 +141,7 @@ def add_overused(problem, walk, steps, critical):
     return outcome
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def search_labels(problem, cost_to_go, delay_to_go, labels, critical, walk):
     """Cheapest walk within the delay that does not overuse a critical resource, into ``walk``.
 
@@ -175,7 +175,7 @@ def search_labels(problem, cost_to_go, delay_to_go, labels, critical, walk):
     return NONE, 0
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _expand(problem, cost_to_go, delay_to_go, labels, critical, label):
     """Open every step that can follow ``label``; False if the pool is full."""
     node = labels.node[label]
@@ -206,7 +206,7 @@ def _expand(problem, cost_to_go, delay_to_go, labels, critical, label):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _open(problem, cost_to_go, delay_to_go, labels, critical, parent, node, link, vm):
     """Extend ``parent`` by one step unless the result is infeasible or dominated."""
     i = labels.placed[parent]
@@ -246,7 +246,7 @@ def _open(problem, cost_to_go, delay_to_go, labels, critical, parent, node, link
     _list_and_open(labels, label, bound)
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _use(problem, labels, critical, parent, label, node, link, vm):
     """Book the step's use of critical resources; False if one of them has not enough left."""
     for c in range(critical.count[0]):
@@ -267,7 +267,7 @@ def _use(problem, labels, critical, parent, label, node, link, vm):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _keep(problem, labels, critical, label, node):
     """False if a label of the same node and function dominates ``label``; those it dominates are dropped."""
     placed = labels.placed[label]
@@ -289,7 +289,7 @@ def _keep(problem, labels, critical, label, node):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _dominates(problem, labels, critical, a, b):
     """Whether every completion of label ``b`` also completes ``a``, no dearer."""
     if labels.cost[a] > labels.cost[b] or labels.delay[a] > labels.delay[b]:
@@ -312,7 +312,7 @@ def _dominates(problem, labels, critical, a, b):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _trace(labels, label, walk):
     """Steps that lead to ``label``, into ``walk``; returns their number."""
     steps = labels.steps[label]
@@ -324,14 +324,14 @@ def _trace(labels, label, walk):
     return steps
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _take(labels):
     label = labels.size[0]
     labels.size[0] += 1
     return label
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _list_and_open(labels, label, key):
     """Put a new label at the head of its list and into the heap, where the least ``key`` comes first."""
     node, placed = labels.node[label], labels.placed[label]
@@ -351,7 +351,7 @@ def _list_and_open(labels, label, key):
     labels.heap_label[hole] = label
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _pop(labels):
     """Take the label with the least key out of the heap."""
     top = labels.heap_label[0]

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from nfv_torchrl.planners.base import CompiledPlanner
 from nfv_torchrl.planners.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.planners.compiled import kernel
 from nfv_torchrl.planners.walks import OVERFLOW
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def plan_myopic(tables, rules, net, vm_offered, link_offered, service, ingress, egress, scratch, plan):
     """``plan_cheapest`` at the unit costs of the substrate; same arguments and return value."""
     return plan_cheapest(
@@ -31,7 +30,7 @@ def plan_myopic(tables, rules, net, vm_offered, link_offered, service, ingress, 
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def plan_myopic_batch(
     tables, rules, rows, env_net, vm_offered, link_offered, service, ingress, egress, scratch, plans, lengths
 ):

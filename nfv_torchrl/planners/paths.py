@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from nfv_torchrl.planners.compiled import kernel
 from nfv_torchrl.planners.walks import OVERFLOW
 from nfv_torchrl.simulator.tables import Tables
 
@@ -98,7 +98,7 @@ def make_candidates(tables: Tables, paths: int) -> Candidates:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def paths_between(tables, net, ingress, egress, paths, candidates):
     """Row of the k cheapest simple paths from ``ingress`` to ``egress``, cheapest first.
 
@@ -129,7 +129,7 @@ def paths_between(tables, net, ingress, egress, paths, candidates):
     return row
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _accept(paths, candidates, row, best):
     """Move a candidate into the row; returns its place there."""
     place = paths.found[row]
@@ -148,7 +148,7 @@ def _accept(paths, candidates, row, best):
     return place
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop):
     """Cheapest path that shares the first ``hop`` hops with path ``number`` (-1: any) but no accepted path's next."""
     candidates.blocked_node[:] = False
@@ -190,12 +190,13 @@ def _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop):
         node = candidates.via_node[node]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _search(tables, net, spur, egress, candidates):
     """Cost of the cheapest path that keeps off the blocked nodes and links, inf if none."""
     nodes = tables.num_nodes[net]
-    candidates.distance[:nodes] = np.inf
-    candidates.closed[:nodes] = candidates.blocked_node[:nodes]
+    for n in range(nodes):
+        candidates.distance[n] = np.inf
+        candidates.closed[n] = candidates.blocked_node[n]
     candidates.distance[spur] = 0.0
     while True:
         node = -1

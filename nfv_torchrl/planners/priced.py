@@ -10,18 +10,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.base import CompiledPlanner
 from nfv_torchrl.planners.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.planners.compiled import kernel
 from nfv_torchrl.planners.walks import OVERFLOW
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fill_prices(tables, net, vm_offered, link_offered, price, steepness, vm_price, link_price):
-    """Prices of every VM ($ per Mcycles/s, float64 [N, V]) and link ($ per Mbit/s, float64 [L]) from what they offer."""
+    """Prices of all VMs ($ per Mcycles/s, float64 [N, V]) and links ($ per Mbit/s, float64 [L]) from what they offer."""
     scale = price / (steepness - 1.0)
     rise = np.log(steepness)
     for node in range(tables.num_nodes[net]):
@@ -33,7 +33,7 @@ def fill_prices(tables, net, vm_offered, link_offered, price, steepness, vm_pric
         link_price[link] = tables.link_unit_cost[net, link] + scale * (np.exp(rise * used) - 1.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def plan_priced(
     tables,
     rules,
@@ -81,7 +81,7 @@ def plan_priced(
     return steps
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def plan_priced_batch(
     tables,
     rules,

@@ -11,10 +11,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.base import CompiledPlanner
+from nfv_torchrl.planners.compiled import kernel
 from nfv_torchrl.planners.greedy import encode_placement
 from nfv_torchrl.planners.placing import (
     Placing,
@@ -39,10 +39,8 @@ class TabuScratch(NamedTuple):
     listed: np.ndarray  # int64 [tenure, 3]: (function, node * V + vm, -1) or (-1, -1, path), oldest overwritten
 
 
-@njit(cache=True, nogil=True)
-def plan_tabu(
-    tables, rules, net, vm_offered, link_offered, service, ingress, egress, iterations, scratch, plan
-):
+@kernel
+def plan_tabu(tables, rules, net, vm_offered, link_offered, service, ingress, egress, iterations, scratch, plan):
     """Plan one request by tabu search; see ``CompiledPlanner.plan``. Deterministic.
 
     Args:
@@ -76,7 +74,7 @@ def plan_tabu(
     return encode_placement(problem, placing, number, placing.position[kept], placing.vm[kept], plan)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _improve(problem, scratch, row, start, iterations):
     """Search from the greedy placement on path ``start`` (-1: the cheapest path, infeasible).
 
@@ -118,7 +116,7 @@ def _improve(problem, scratch, row, start, iterations):
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _best_move(problem, scratch, row, path, least):
     """The move with the least penalised cost that is not tabu, or that beats ``least``.
 
@@ -164,7 +162,7 @@ def _best_move(problem, scratch, row, path, least):
     return move
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _may_precede(problem, position, i, at, hops):
     """Whether function ``i`` may stand at ``at`` without moving the one after it."""
     if i + 1 == problem.functions:
@@ -172,7 +170,7 @@ def _may_precede(problem, position, i, at, hops):
     return first_position(problem, hops, at) <= position[i + 1]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _is_tabu(listed, function, resource, path):
     for slot in range(listed.shape[0]):
         if listed[slot, 0] == function and listed[slot, 1] == resource and listed[slot, 2] == path:
@@ -180,14 +178,14 @@ def _is_tabu(listed, function, resource, path):
     return False
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _copy(placing, source, target, functions):
     for i in range(functions):
         placing.position[target, i] = placing.position[source, i]
         placing.vm[target, i] = placing.vm[source, i]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def plan_tabu_batch(
     tables,
     rules,

@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from nfv_torchrl.planners.compiled import inlined
 
 
 class ToGo(NamedTuple):
@@ -45,7 +46,7 @@ def make_to_go(nodes: int, links: int, functions: int) -> ToGo:
     )
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def fill_cost_to_go(problem, links, to_go):
     """Least price ($) from every (function, node) to the end of the request."""
     for link in range(links):
@@ -65,7 +66,7 @@ def fill_cost_to_go(problem, links, to_go):
     _fill(problem, to_go)
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def fill_delay_to_go(problem, links, to_go):
     """Least delay (ms) from every (function, node) to the end of the request."""
     for link in range(links):
@@ -83,14 +84,14 @@ def fill_delay_to_go(problem, links, to_go):
     _fill(problem, to_go)
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _fill(problem, to_go):
     for i in range(problem.functions, -1, -1):
         _seed_layer(problem, to_go, i)
         _relax_layer(problem, to_go, i)
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _seed_layer(problem, to_go, i):
     """Weights of walks that place function ``i`` with their very next step into (or on) a node."""
     for node in range(problem.nodes):
@@ -109,7 +110,7 @@ def _seed_layer(problem, to_go, i):
         to_go.entering[problem.egress] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def _relax_layer(problem, to_go, i):
     """Label-correcting search with a first-in first-out queue: most nodes enter it once."""
     nodes = problem.nodes

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from nfv_torchrl.planners.compiled import inlined
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
 OVERFLOW = -1
@@ -55,10 +55,8 @@ def make_walk(steps: int) -> Walk:
     return Walk(np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps, np.int64))
 
 
-@njit(cache=True, nogil=True)
-def make_problem(
-    tables, rules, net, vm_offered, link_offered, vm_price, link_price, service, ingress, egress
-):
+@inlined
+def make_problem(tables, rules, net, vm_offered, link_offered, vm_price, link_price, service, ingress, egress):
     """Collect what ``service`` from ``ingress`` to ``egress`` meets on network ``net`` into a ``Problem``."""
     return Problem(
         tables.num_nodes[net],
@@ -85,7 +83,7 @@ def make_problem(
     )
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def encode_walk(walk, steps, vms, plan):
     """Write the actions of ``walk`` into ``plan``: 2 * (node * V + vm) + placed; a forwarding hop names VM 0."""
     for j in range(steps):
@@ -95,7 +93,7 @@ def encode_walk(walk, steps, vms, plan):
             plan[j] = 2 * walk.node[j] * vms
 
 
-@njit(cache=True, nogil=True)
+@inlined
 def walk_totals(problem, walk, steps, vm_unit_cost, link_unit_cost):
     """Cost ($, at the given unit costs) and delay (ms) of a walk, summed in the order of its steps."""
     cost = 0.0

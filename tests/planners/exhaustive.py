@@ -1,4 +1,4 @@
-"""Tight random requests, every walk tried one by one, and a checker of walks; plain Python that shares no planner code."""
+"""Tight random requests, every walk tried one by one, and a checker of walks; plain Python, no planner code."""
 
 from __future__ import annotations
 
