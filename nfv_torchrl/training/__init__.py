@@ -1,1 +1,1 @@
-"""What recipes share: command lines, schedules, checkpoints, logging."""
+"""What recipes share: exploration schedules, checkpoints, logging, seeds. The loops themselves are in ``recipes/``."""

@@ -1,0 +1,58 @@
+"""Deep Q-learning, the paper's loss, and double Q-learning."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+from torchrl.modules import QValueActor
+from torchrl.objectives import DQNLoss
+
+from nfv_torchrl.losses.base import greedy_actor
+from nfv_torchrl.networks import NetworkFactory, Sizes
+
+
+class DQN(DQNLoss):
+    r"""Mean squared temporal-difference error over valid actions.
+
+    .. math:: \big(r + \gamma (1 - d') \max_{a' \in A_p(s')} \bar Q(s', a') - Q(s, a)\big)^2
+
+    with :math:`\bar Q` the target network and :math:`d'` the end of the request, so that nothing is learned across
+    requests (section "DQN-AR" of the paper; Mnih et al., "Human-level control through deep reinforcement learning",
+    Nature 518, 2015). With ``double`` the online network chooses :math:`a'` and the target network values it (van
+    Hasselt, Guez, Silver, "Deep Reinforcement Learning with Double Q-learning", AAAI 2016).
+
+    Args:
+        network: factory of the Q-network.
+        sizes: sizes of observation and actions.
+        gamma: discount per step.
+        double: choose the next action by the online network.
+        loss_function: ``l2``, ``smooth_l1`` or ``l1``.
+        stop_at: key that ends the look ahead: ``request_done``, or ``done`` to look across requests.
+
+    Keys read: the network's ``in_keys``, ``action_mask`` bool [A], ``action`` int64 [], and under ``next`` the same
+    observation, ``reward`` float32 [1] and ``stop_at`` bool [1]. Writes ``loss`` []. Logs nothing else.
+    """
+
+    actor: QValueActor
+
+    def __init__(
+        self,
+        network: NetworkFactory,
+        sizes: Sizes,
+        *,
+        gamma: float = 1.0,
+        double: bool = False,
+        loss_function: str = "l2",
+        stop_at: str = "request_done",
+    ) -> None:
+        actor = greedy_actor(network(sizes), sizes.actions)
+        super().__init__(
+            actor, action_space="categorical", delay_value=True, double_dqn=double, loss_function=loss_function
+        )
+        self.set_keys(done=stop_at, terminated=stop_at)
+        self.make_value_estimator(gamma=gamma)
+        # Not registered as a submodule: its parameters are those of the loss already.
+        self.__dict__["actor"] = actor
+
+    def prepare(self, data: TensorDictBase) -> TensorDictBase:
+        """Single transitions: only the keys that the loss reads, [B, T] flattened."""
+        return data.select(*self.in_keys).reshape(-1)

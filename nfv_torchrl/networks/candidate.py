@@ -1,0 +1,50 @@
+"""A network that scores each valid action by the same weights, whatever the size of the substrate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from nfv_torchrl.networks.base import QNetwork, Sizes
+from nfv_torchrl.networks.mlp import flat_layers
+from nfv_torchrl.observations import CandidateObservation, ObservationPart
+
+
+class CandidateNetwork(QNetwork):
+    """Shared weights over the rows of the candidate observation.
+
+    Reads ``("candidates", "features")`` float32 [..., C, features], ``("candidates", "action")`` int64 [..., C],
+    ``("candidates", "mask")`` bool [..., C] and ``action_mask`` bool [..., A], and writes each row's value to the place
+    of its action; actions without a row get 0.
+
+    Args:
+        sizes: number of features.
+        outputs: outputs per action.
+        hidden: neurons of each hidden layer.
+        activation: name of a ``torch.nn`` activation.
+    """
+
+    in_keys = (("candidates", "features"), ("candidates", "action"), ("candidates", "mask"), "action_mask")
+    any_size = True
+
+    def __init__(
+        self, sizes: Sizes, outputs: int = 1, *, hidden: Sequence[int] = (64, 64), activation: str = "ReLU"
+    ) -> None:
+        super().__init__()
+        self.outputs = outputs
+        self.layers = flat_layers(sizes.candidate_features, outputs, hidden, activation)
+
+    def observations(self) -> list[ObservationPart]:
+        """See ``QNetwork``."""
+        return [CandidateObservation()]
+
+    def forward(self, features: Tensor, action: Tensor, row_mask: Tensor, action_mask: Tensor) -> Tensor:
+        """Values of all actions."""
+        scores = self.layers(features)
+        actions = action_mask.shape[-1]
+        # Rows not in use write to a column of their own that is cut off again.
+        place = action.masked_fill(~row_mask, actions)
+        values = scores.new_zeros(*action_mask.shape[:-1], actions + 1, self.outputs)
+        values = values.scatter(-2, place.unsqueeze(-1).expand_as(scores), scores)[..., :actions, :]
+        return values.squeeze(-1) if self.outputs == 1 else values

@@ -1,0 +1,98 @@
+"""Running totals of what happened since the last log line."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from nfv_torchrl.simulator import REASON_NAMES
+from nfv_torchrl.simulator.state import (
+    ACCEPTED,
+    INTERRUPTED,
+    REASON,
+    REQUEST_COST,
+    REQUEST_DELAY,
+    REQUEST_DONE,
+    REQUEST_HOPS,
+    REQUEST_SLOT,
+    SERVICE,
+    SLOT_COST,
+    SLOT_LINK_USE,
+    SLOT_VM_USE,
+    SLOTS_CLOSED,
+)
+
+_SUMMED = (ACCEPTED, REQUEST_COST, REQUEST_DELAY, REQUEST_HOPS, SLOTS_CLOSED, SLOT_COST, SLOT_VM_USE, SLOT_LINK_USE)
+
+
+class TrainingWindow:
+    """Sums over collected batches; ``metrics`` turns them into the numbers of a log line.
+
+    Args:
+        services: names of the service types.
+        warmup: requests that arrive in slots before this one do not count.
+    """
+
+    def __init__(self, services: tuple[str, ...], warmup: int = 0) -> None:
+        self.services = services
+        self.warmup = warmup
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        kinds = len(self.services)
+        self.sums = torch.zeros(len(_SUMMED), dtype=torch.float64)
+        self.interrupted = torch.zeros((), dtype=torch.float64)
+        self.arrived = torch.zeros(kinds, dtype=torch.float64)
+        self.accepted = torch.zeros(kinds, dtype=torch.float64)
+        self.reasons = torch.zeros(len(REASON_NAMES), dtype=torch.float64)
+
+    def add(self, data: TensorDictBase) -> None:
+        """Take in a collected batch; reads ``("next", "statistics")`` float32 [..., 16]."""
+        rows = data.get(("next", "statistics")).flatten(0, -2).to(torch.float64)
+        # Slot sums leave out the warm-up already; requests that arrived in it are dropped here.
+        ended = rows[(rows[:, REQUEST_DONE] > 0) & (rows[:, REQUEST_SLOT] >= self.warmup)]
+        for place, column in enumerate(_SUMMED):
+            source = rows if column in (SLOTS_CLOSED, SLOT_COST, SLOT_VM_USE, SLOT_LINK_USE) else ended
+            self.sums[place] += source[:, column].sum()
+        self.interrupted += rows[:, INTERRUPTED].sum()
+        service = ended[:, SERVICE].long()
+        taken = ended[:, ACCEPTED] > 0
+        kinds = len(self.services)
+        self.arrived += service.bincount(minlength=kinds)
+        self.accepted += service[taken].bincount(minlength=kinds)
+        self.reasons += ended[~taken, REASON].long().bincount(minlength=len(REASON_NAMES))
+
+    def metrics(self) -> dict[str, float]:
+        """AAR, ANUC and the rest over the window, by TensorBoard tag; what has no data yet is left out."""
+        accepted, cost, delay, hops, slots, slot_cost, vm_use, link_use = self.sums.tolist()
+        arrived = float(self.arrived.sum())
+        values: dict[str, float] = {}
+        if arrived:
+            values["train/aar"] = accepted / arrived
+            values["train/interrupted"] = float(self.interrupted) / arrived
+            shares = (self.reasons / arrived).tolist()
+            values |= {f"rejections/{name}": share for name, share in zip(REASON_NAMES, shares, strict=True)}
+        for name, came, taken in zip(self.services, self.arrived.tolist(), self.accepted.tolist(), strict=True):
+            if came:
+                values[f"aar_by_service/{name}"] = taken / came
+        if accepted:
+            values["train/cost_per_accepted"] = cost / accepted
+            values["train/mean_delay_ms"] = delay / accepted
+            values["train/mean_hops"] = hops / accepted
+        if slots:
+            values["train/anuc"] = slot_cost / slots
+            values["utilisation/vm"] = vm_use / slots
+            values["utilisation/link"] = link_use / slots
+        return values
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """The sums."""
+        names = ("sums", "interrupted", "arrived", "accepted", "reasons")
+        return {name: getattr(self, name).clone() for name in names}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Go on from ``state_dict()``."""
+        for name, value in state.items():
+            setattr(self, name, value.clone())
