@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.occupancy import Columns, Occupancy, maximise_value
+from nfv_torchrl.planners.occupancy import Columns, Occupancy, expected_price, maximise_value, price_of_stay
 from nfv_torchrl.planners.relaxations import candidate_cuts, crossed, least_cost, least_delay
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
@@ -88,15 +88,42 @@ def blind_bound(
         ScenarioError: the workload comes from a file, so its law of lifetimes is unknown, and ``mean_lifetime`` was
             not given; or as for ``hindsight_bound``.
     """
-    if mean_lifetime is None:
-        if scenario.workload_path is not None:
-            raise ScenarioError(
-                f"{scenario.workload_path}: the lifetime-blind bound needs the law of the lifetimes; "
-                "pass mean_lifetime if they are exponential, or use the hindsight bound"
-            )
-        mean_lifetime = scenario.mean_lifetime
-    relaxation = _Relaxation(scenario, workload, failures, mean_lifetime)
+    relaxation = _Relaxation(scenario, workload, failures, _known_mean(scenario, mean_lifetime))
     return relaxation.bound("blind", relaxation.solve().bound)
+
+
+def lifetime_luck(
+    scenario: Scenario,
+    workload: Workload,
+    accepted: np.ndarray,
+    failures: FailureTimeline | None = None,
+    *,
+    mean_lifetime: float | None = None,
+) -> float:
+    """Requests a run accepted thanks to the lifetimes it happened to meet: 0 in expectation, negative if unlucky.
+
+    For a method that does not see lifetimes, ``accepted.sum() - lifetime_luck(...)`` (over the requests after the
+    warm-up) has the expectation of the number accepted, varies less from run to run, and is at most
+    ``blind_bound(...).accepted`` in every single run. So compare it, not the raw number, with that bound.
+
+    Args:
+        accepted: bool [R], which requests of ``workload`` the run accepted.
+
+    Other arguments and errors as for ``blind_bound``.
+    """
+    relaxation = _Relaxation(scenario, workload, failures, _known_mean(scenario, mean_lifetime))
+    return relaxation.luck(workload, np.asarray(accepted, dtype=bool))
+
+
+def _known_mean(scenario: Scenario, mean_lifetime: float | None) -> float:
+    if mean_lifetime is not None:
+        return mean_lifetime
+    if scenario.workload_path is not None:
+        raise ScenarioError(
+            f"{scenario.workload_path}: the lifetime-blind bound needs the law of the lifetimes; "
+            "pass mean_lifetime if they are exponential, or use the hindsight bound"
+        )
+    return scenario.mean_lifetime
 
 
 def hindsight_least_cost(
@@ -111,8 +138,8 @@ def hindsight_least_cost(
         ScenarioError: not even the relaxation can accept so many; or as for ``hindsight_bound``.
     """
     relaxation = _Relaxation(scenario, workload, failures)
-    if accepted > relaxation.possible.sum():
-        raise ScenarioError(f"{accepted:g} requests cannot be accepted; at most {relaxation.possible.sum()} can")
+    if accepted > relaxation.rows.size:
+        raise ScenarioError(f"{accepted:g} requests cannot be accepted; at most {relaxation.rows.size} can")
     return relaxation.least_cost(accepted)
 
 
@@ -133,10 +160,10 @@ class _Relaxation:
         self.arrived = int(counts.sum())
         requests = np.stack([workload.service, workload.ingress, workload.egress])[:, counts]
         self.classes, kind = np.unique(requests, axis=1, return_inverse=True)
-        self.possible = self._possible()[kind]
-        self.kind = kind[self.possible]
-        self.slot = workload.slot[counts][self.possible]
-        self.until, self.keep = self._stays(workload.departure[counts][self.possible], mean_lifetime)
+        possible = self._possible()[kind]
+        self.rows = np.flatnonzero(counts)[possible]  # requests of the workload that are in the programme
+        self.kind, self.slot = kind[possible], workload.slot[self.rows]
+        self.until, self.keep = self._stays(workload.departure[self.rows], mean_lifetime)
         self.active: list[int] = []  # rows of self.cuts in the programme
         self.fraction = np.zeros(self.kind.size)  # of each request, at the optimum
         loads = to_ledger(scenario.catalogue.load).sum(axis=1) / LEDGER_UNITS
@@ -212,8 +239,7 @@ class _Relaxation:
 
     def _programme(self, value: np.ndarray) -> tuple[Columns, np.ndarray, np.ndarray]:
         """Groups of requests alike to the programme, capacity float64 [K, T], and each request's group."""
-        crossing = self.crosses[self.active][:, self.class_pair]  # [active, classes]
-        demand = np.vstack([self.class_load, crossing * self.class_rate])
+        demand = self._demand(len(self.active))
         looks, look_of = np.unique(np.vstack([demand, value]), axis=1, return_inverse=True)
         keys = np.stack([look_of[self.kind], self.slot, self.until])
         groups, column_of, count = np.unique(keys, axis=1, return_inverse=True, return_counts=True)
@@ -221,6 +247,19 @@ class _Relaxation:
         columns = Columns(groups[1], groups[2], count.astype(np.float64), look[:-1], look[-1])
         pool = np.broadcast_to(self.pool, (self.scenario.horizon,))
         return columns, np.vstack([pool, self.cut_capacity[self.active]]), column_of
+
+    def _demand(self, cuts: int) -> np.ndarray:
+        """What a request of each class takes of the pool and the first ``cuts`` active cuts, float64 [1 + cuts, C]."""
+        crossing = self.crosses[self.active[:cuts]][:, self.class_pair]
+        return np.vstack([self.class_load, crossing * self.class_rate])
+
+    def luck(self, workload: Workload, accepted: np.ndarray) -> float:
+        """Expected less actual price of the stays of the accepted requests, at the prices that prove the bound."""
+        prices = self.solve().prices
+        until, _ = self._stays(workload.departure[self.rows], None)
+        spared = expected_price(prices, self.keep)[:, self.slot] - price_of_stay(prices, self.slot, until)
+        demand = self._demand(len(prices) - 1)[:, self.kind]
+        return float((demand * spared).sum(axis=0)[accepted[self.rows]].sum())
 
     def _activate_violated(self) -> bool:
         """Add the cuts that the present solution exceeds by most; False if there is none."""

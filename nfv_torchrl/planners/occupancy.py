@@ -33,6 +33,7 @@ class Occupancy(NamedTuple):
 
     accepted: np.ndarray  # float64 [C], requests of each group let in by the optimum
     bound: float  # no admission is worth more, by weak duality and so whatever the solver's tolerance
+    prices: np.ndarray  # float64 [K, T], the dual prices that prove it: worth per unit of each resource and slot
     count_price: float  # dual value of the required number, 0 without one
 
 
@@ -55,7 +56,7 @@ def maximise_value(
     """
     groups, (resources, slots) = columns.start.size, capacity.shape
     if groups == 0:
-        return Occupancy(np.zeros(0), 0.0, 0.0)
+        return Occupancy(np.zeros(0), 0.0, np.zeros(capacity.shape), 0.0)
     unit = np.maximum(columns.demand.max(axis=1), 1e-12)  # keeps the coefficients near 1
     balance = _balance(columns, keep, unit)
     number = {}
@@ -78,7 +79,7 @@ def maximise_value(
     prices = np.maximum(-result.upper.marginals[groups:].reshape(resources, slots), 0.0) / unit[:, None]
     count_price = max(-float(result.ineqlin.marginals[0]), 0.0) if number else 0.0
     worth = columns._replace(value=columns.value + count_price)
-    return Occupancy(result.x[:groups], certificate(worth, capacity, keep, prices), count_price)
+    return Occupancy(result.x[:groups], certificate(worth, capacity, keep, prices), prices, count_price)
 
 
 def certificate(columns: Columns, capacity: np.ndarray, keep: np.ndarray, prices: np.ndarray) -> float:
@@ -87,18 +88,27 @@ def certificate(columns: Columns, capacity: np.ndarray, keep: np.ndarray, prices
     Whoever is let in either pays for the capacity it occupies or is worth more than that: the worth of all is at most
     the price of all capacity plus the surplus of those who have one.
     """
-    slots = capacity.shape[1]
     if np.all(keep == 1.0):
-        total = np.zeros((prices.shape[0], slots + 1))
-        np.cumsum(prices, axis=1, out=total[:, 1:])
-        charge = total[:, columns.until] - total[:, columns.start]
+        charge = price_of_stay(prices, columns.start, columns.until)
     else:
-        ahead = prices.copy()  # expected price of a stay that begins in slot t
-        for t in range(slots - 2, -1, -1):
-            ahead[:, t] += keep[t + 1] * ahead[:, t + 1]
-        charge = ahead[:, columns.start]
+        charge = expected_price(prices, keep)[:, columns.start]
     surplus = columns.value - (columns.demand * charge).sum(axis=0)
     return float((capacity * prices).sum() + (columns.size * np.maximum(surplus, 0.0)).sum())
+
+
+def price_of_stay(prices: np.ndarray, start: np.ndarray, until: np.ndarray) -> np.ndarray:
+    """Price float64 [K, R] of a unit of each resource from slot ``start`` to before slot ``until``, int64 [R] each."""
+    total = np.zeros((prices.shape[0], prices.shape[1] + 1))
+    np.cumsum(prices, axis=1, out=total[:, 1:])
+    return total[:, until] - total[:, start]
+
+
+def expected_price(prices: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    """Price float64 [K, T] of a stay that begins in slot t and goes on from slot to slot with probability ``keep``."""
+    ahead = prices.copy()
+    for t in range(prices.shape[1] - 2, -1, -1):
+        ahead[:, t] += keep[t + 1] * ahead[:, t + 1]
+    return ahead
 
 
 def _balance(columns: Columns, keep: np.ndarray, unit: np.ndarray) -> coo_array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.bound import blind_bound, hindsight_bound, hindsight_least_cost
+from nfv_torchrl.planners.bound import blind_bound, hindsight_bound, hindsight_least_cost, lifetime_luck
 from nfv_torchrl.planners.myopic import MyopicPlanner
 from nfv_torchrl.planners.occupancy import Columns, certificate, maximise_value
 from nfv_torchrl.planners.relaxations import candidate_cuts, least_cost, least_delay
@@ -69,19 +70,19 @@ def most_by_trying(scenario: Scenario, workload: Workload, lifetimes=None) -> in
     return 0
 
 
-def first_come(scenario: Scenario, workload: Workload, lifetime: np.ndarray, refused: tuple[int, ...] = ()) -> int:
-    """Accepted by whoever takes what fits now, except the types in ``refused`` while more than half is in use."""
+def first_come(scenario: Scenario, workload: Workload, lifetime: np.ndarray, refused: tuple[int, ...] = ()):
+    """Accepted (bool [R]) by whoever takes what fits, except the types in ``refused`` while over half is in use."""
     load, room = scenario.catalogue.load.sum(axis=1), float(scenario.substrate.vm_capacity[1, 0])
     until = workload.slot + np.maximum(np.ceil(lifetime), 1)
     running: list[tuple[float, float]] = []
-    accepted = 0
+    accepted = []
     for t, kind, leaves in zip(workload.slot.tolist(), workload.service.tolist(), until.tolist(), strict=True):
         running = [(end, amount) for end, amount in running if end > t]
         used = sum(amount for _, amount in running)
-        if used + load[kind] <= room + 1e-9 and not (kind in refused and used > room / 2):
+        accepted.append(used + load[kind] <= room + 1e-9 and not (kind in refused and used > room / 2))
+        if accepted[-1]:
             running.append((leaves, load[kind]))
-            accepted += 1
-    return accepted
+    return np.array(accepted, bool)
 
 
 def test_hindsight_by_hand():
@@ -165,7 +166,7 @@ def test_no_subset_of_requests_beats_hindsight(workload, vm, link):
     bound, best = hindsight_bound(scenario, workload), most_by_trying(scenario, workload)
     assert best <= bound.accepted <= len(workload)
     if link >= 6:
-        assert first_come(scenario, workload, workload.lifetime) <= best
+        assert first_come(scenario, workload, workload.lifetime).sum() <= best
 
 
 @given(workloads, st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
@@ -194,9 +195,16 @@ def test_the_mean_of_blind_methods_stays_below_the_blind_bound(refused):
     workload = requests(*[(int(t), int(k), 1.0) for t, k in zip(slot, service, strict=True)])
     scenario = two_nodes(vm=60.0, link=1000.0, horizon=40, mean_lifetime=12.0)
     bound = blind_bound(scenario, workload).accepted
-    got = [first_come(scenario, workload, rng.exponential(12.0, 150), refused) for _ in range(600)]
+    got, luck = [], []
+    for _ in range(600):
+        lived = replace(workload, lifetime=rng.exponential(12.0, 150))
+        accepted = first_come(scenario, lived, lived.lifetime, refused)
+        got.append(accepted.sum())
+        luck.append(lifetime_luck(scenario, lived, accepted))
+        assert got[-1] - luck[-1] <= bound + 1e-6, "without its luck no run is above the bound"
     mean, error = np.mean(got), np.std(got) / math.sqrt(len(got))
     assert mean <= bound + 3 * error
+    assert abs(np.mean(luck)) <= 4 * np.std(luck) / math.sqrt(len(luck)), "luck is nobody's on average"
     if refused == (LARGE,):
         assert mean >= 0.85 * bound, "the bound is near what a sensible rule reaches"
 
@@ -205,7 +213,10 @@ def test_one_run_may_end_above_the_blind_bound():
     """It bounds expectations: with luck everyone leaves at once."""
     workload = requests(*[(t, LARGE, 0.5) for t in range(10)])
     scenario = two_nodes(vm=5.0, mean_lifetime=50.0)
-    assert first_come(scenario, workload, workload.lifetime) > blind_bound(scenario, workload).accepted
+    accepted = first_come(scenario, workload, workload.lifetime)
+    bound = blind_bound(scenario, workload).accepted
+    assert accepted.sum() > bound
+    assert accepted.sum() - lifetime_luck(scenario, workload, accepted) <= bound + 1e-9
 
 
 def test_an_interrupted_request_frees_its_resources():
@@ -219,8 +230,8 @@ def test_an_interrupted_request_frees_its_resources():
         hindsight_bound(scenario, workload)
 
 
-def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> int:
-    """Requests that the exact search accepts one by one; plain books, failures included."""
+def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> np.ndarray:
+    """Requests, bool [R], that the exact search accepts one by one; plain books, failures included."""
     substrate = scenario.substrate
     tables = build_tables([substrate], scenario.catalogue)
     rules = Rules(scenario.colocation, False, False, scenario.max_steps)
@@ -231,7 +242,7 @@ def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> i
     planner, plan = MyopicPlanner(), np.zeros(scenario.max_steps, np.int64)
     planner.prepare(tables, rules)
     running: list[tuple[int, np.ndarray]] = []
-    accepted = event = 0
+    accepted, event = np.zeros(len(workload), bool), 0
     for r, t in enumerate(workload.slot.tolist()):
         while event < len(timeline) and timeline.slot[event] <= t:
             up[timeline.resource[event]] = timeline.up[event]
@@ -252,7 +263,7 @@ def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> i
             node = there
         if steps:
             running.append((int(workload.departure[r]), use))
-            accepted += 1
+            accepted[r] = True
     return accepted
 
 
@@ -274,9 +285,11 @@ def test_the_exact_search_stays_below_both_bounds(colocation, fail, link_capacit
     got, hindsight, blind = [], [], []
     for seed in range(3):
         workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
-        got.append(play(scenario, workload, timeline))
+        accepted = play(scenario, workload, timeline)
+        got.append(accepted.sum())
         hindsight.append(hindsight_bound(scenario, workload, timeline).accepted)
         blind.append(blind_bound(scenario, workload, timeline).accepted)
+        assert got[-1] - lifetime_luck(scenario, workload, accepted, timeline) <= blind[-1] + 1e-6
     assert np.all(np.array(got) <= hindsight)
     assert np.mean(got) <= np.mean(blind)
     if fail == 0.0:
