@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from nfv_torchrl import rewards
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.observations import ObservationPart, RequestObservation
+from nfv_torchrl.observations import ObservationPart, RequestObservation, read_observation
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.simulator import OUTCOME, Simulator
@@ -95,17 +95,6 @@ class NFVEnv(EnvBase):
         flag = Binary(1, shape=(*batch, 1), dtype=torch.bool)
         self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), shape=batch)
 
-    def _seen(self) -> dict:
-        """What a controller sees now; fresh tensors, since the next step writes into the simulator's arrays."""
-        view = self.simulator.world.seen
-        seen = {
-            "observation": torch.from_numpy(view.flat).clone(),
-            "action_mask": torch.from_numpy(view.mask).clone(),
-        }
-        for part in self.parts:
-            seen.update(part.read(self.simulator))
-        return seen
-
     def _outcome_keys(self, outcome: torch.Tensor) -> dict[str, torch.Tensor]:
         """The named keys of ``outcome`` float64 [B, 16]."""
         return {
@@ -121,15 +110,13 @@ class NFVEnv(EnvBase):
         outcome = torch.from_numpy(self.simulator.world.outcome)
         reward = self.reward(self.simulator.outcome, self.cost_scale)
         done = outcome[:, DONE, None] > 0
-        return TensorDict(
+        return read_observation(self.simulator, self.parts).update(
             {
-                **self._seen(),
                 **self._outcome_keys(outcome),
                 "reward": torch.from_numpy(np.asarray(reward, np.float32)).unsqueeze(-1),
                 "done": done,
                 "terminated": done.clone(),
-            },
-            batch_size=self.batch_size,
+            }
         )
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
@@ -142,8 +129,8 @@ class NFVEnv(EnvBase):
         # An horizon without any request is over before its first step; a root that is done would be reset for ever, so
         # that is said with the first step instead. Rows that are not reset keep what TorchRL has for them.
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
-        keys = {**self._seen(), **self._outcome_keys(outcome), "done": done, "terminated": done.clone()}
-        return TensorDict(keys, batch_size=self.batch_size)
+        keys = {**self._outcome_keys(outcome), "done": done, "terminated": done.clone()}
+        return read_observation(self.simulator, self.parts).update(keys)
 
     def _rows_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:
         partial = None if tensordict is None else tensordict.get("_reset", None)

@@ -15,6 +15,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureTimeline
+from nfv_torchrl.scenario.files import scenario_to_json
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
 from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
@@ -85,7 +86,7 @@ def write_run(folder: str | os.PathLike[str], record: RunRecord, metrics: Mappin
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     try:
-        (partial / "scenario.json").write_text(_pretty(scenario_document(record)))
+        (partial / "scenario.json").write_text(_pretty(_scenario_document(record)))
         record.scenario.substrate.to_json(partial / "substrate.json")
         record.workload.to_csv(partial / "workload.csv", record.scenario.catalogue)
         with (partial / "decisions.jsonl").open("w") as out:
@@ -103,62 +104,10 @@ def read_metrics(folder: str | os.PathLike[str]) -> dict[str, float]:
     return {key: math.nan if value is None else value for key, value in document.items()}
 
 
-def scenario_document(record: RunRecord) -> dict[str, Any]:
-    """What ``scenario.json`` holds: everything about the run that the other files lack."""
-    scenario, catalogue, failures = record.scenario, record.scenario.catalogue, record.scenario.failures
-    pairs = scenario.endpoint_pairs
-    return {
-        "name": scenario.name,
-        "method": record.method,
-        "seeds": {"scenario": scenario.seed, "workload": record.workload_seed},
-        "horizon": scenario.horizon,
-        "warmup": scenario.warmup,
-        "arrival_rate": scenario.arrival_rate,
-        "mean_lifetime": scenario.mean_lifetime,
-        "endpoints": scenario.endpoints,
-        "endpoint_pairs": None if pairs is None else np.asarray(pairs).tolist(),
-        "colocation": scenario.colocation,
-        "mask": scenario.mask,
-        "admission_control": scenario.admission_control,
-        "observe_lifetime": scenario.observe_lifetime,
-        "max_steps": scenario.max_steps,
-        "workload_path": None if scenario.workload_path is None else str(scenario.workload_path),
-        "vnfs": dict(catalogue.vnfs),
-        "services": [
-            {
-                "name": service.name,
-                "chain": list(service.chain),
-                "rate": service.rate,
-                "tolerable_delay": service.tolerable_delay,
-                "weight": service.weight,
-            }
-            for service in catalogue.types
-        ],
-        "failures": {
-            "p_fail_vm": failures.p_fail_vm,
-            "p_fail_link": failures.p_fail_link,
-            "p_repair": failures.p_repair,
-        },
-        "failure_timeline": _timeline_document(record),
-    }
-
-
-def _timeline_document(record: RunRecord) -> list[dict[str, Any]]:
-    """Events in the order applied; resources by name (VM of a node, link by its ends), not by their index in arrays."""
-    substrate, timeline = record.scenario.substrate, record.timeline
-    per_node = substrate.vm_capacity.shape[1]
-    events = []
-    for slot, resource, up in zip(
-        timeline.slot.tolist(), timeline.resource.tolist(), timeline.up.tolist(), strict=True
-    ):
-        link = resource - substrate.num_nodes * per_node
-        event: dict[str, Any] = {"slot": slot, "event": "repair" if up else "failure"}
-        if link < 0:
-            event["vm"] = list(divmod(resource, per_node))
-        else:
-            event["link"] = substrate.links[link].tolist()
-        events.append(event)
-    return events
+def _scenario_document(record: RunRecord) -> dict[str, Any]:
+    return scenario_to_json(
+        record.scenario, workload_seed=record.workload_seed, method=record.method, timeline=record.timeline
+    )
 
 
 def _decision_lines(record: RunRecord) -> Iterator[str]:

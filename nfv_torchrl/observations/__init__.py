@@ -1,8 +1,8 @@
 """What a controller sees beside the flat observation and the mask: one class per part, composed in ``NFVEnv``."""
 
-from nfv_torchrl.observations.base import ObservationPart
+from nfv_torchrl.observations.base import ObservationPart, read_observation
 from nfv_torchrl.observations.candidates import CandidateObservation
 from nfv_torchrl.observations.graph import GraphObservation
 from nfv_torchrl.observations.request import RequestObservation
 
-__all__ = ["CandidateObservation", "GraphObservation", "ObservationPart", "RequestObservation"]
+__all__ = ["CandidateObservation", "GraphObservation", "ObservationPart", "RequestObservation", "read_observation"]

@@ -1,10 +1,12 @@
-"""The interface of a part of the observation."""
+"""The interface of a part of the observation, and the whole of it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import torch
+from tensordict import TensorDict
 from torchrl.data import TensorSpec
 
 from nfv_torchrl.simulator import Simulator
@@ -24,3 +26,15 @@ class ObservationPart(Protocol):
 
 Specs = dict[str, TensorSpec]
 Values = dict[str, torch.Tensor]
+
+
+def read_observation(simulator: Simulator, parts: Sequence[ObservationPart]) -> TensorDict:
+    """What a controller sees now, batch size [B]: ``observation``, ``action_mask`` and the keys of ``parts``.
+
+    The tensors are fresh: later steps write into the simulator's arrays, not into them.
+    """
+    view = simulator.world.seen
+    seen = {"observation": torch.from_numpy(view.flat).clone(), "action_mask": torch.from_numpy(view.mask).clone()}
+    for part in parts:
+        seen.update(part.read(simulator))
+    return TensorDict(seen, batch_size=[simulator.batch_size])

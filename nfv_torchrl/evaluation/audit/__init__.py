@@ -20,6 +20,9 @@ from nfv_torchrl.evaluation.audit.recompute import compare, recompute_metrics
 from nfv_torchrl.evaluation.audit.replay import replay
 from nfv_torchrl.evaluation.audit.summary import check_summary
 
+OF_METHOD = ("method", "mask", "admission_control")
+"""Keys of scenario.json that say how a method acts, not what world it met."""
+
 
 @dataclass
 class AuditReport:
@@ -132,11 +135,11 @@ def _other_worlds(folders: list[Path]) -> list[tuple[Path, str]]:
 
 
 def _world(path: Path) -> object:
-    """The content of a file; of scenario.json all but the method. None if it cannot be read: reported elsewhere."""
+    """The content of a file, of scenario.json without :data:`OF_METHOD`. None if unreadable: reported elsewhere."""
     try:
         content = path.read_bytes()
         if path.name != "scenario.json":
             return content
-        return {key: value for key, value in json.loads(content).items() if key != "method"}
+        return {key: value for key, value in json.loads(content).items() if key not in OF_METHOD}
     except (OSError, ValueError, AttributeError):
         return None

@@ -1,0 +1,73 @@
+"""A picture of the network, coloured by how much of it was used."""
+
+from __future__ import annotations
+
+import networkx as nx
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from nfv_torchrl.evaluation.records import RunRecord
+from nfv_torchrl.scenario.substrate import Substrate
+
+
+def mean_use(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
+    """Mean used share over the horizon of all VMs of each node, float64 [N], and of each link, float64 [L].
+
+    Interrupted requests count until their interruption.
+    """
+    scenario, workload = record.scenario, record.workload
+    substrate, horizon = scenario.substrate, scenario.horizon
+    leaves = np.where(record.interrupted_at >= 0, record.interrupted_at, np.minimum(workload.departure, horizon))
+    stay = np.where(record.accepted, leaves - workload.slot, 0) / horizon
+    request = np.repeat(np.arange(len(stay)), np.diff(record.step_offsets))
+    service = workload.service[request]
+    # A hop goes from the node of the step before, or from the ingress in a walk's first step.
+    before = np.r_[-1, record.step_node[:-1]]
+    first = record.step_offsets[:-1][np.diff(record.step_offsets) > 0]
+    before[first] = workload.ingress[np.diff(record.step_offsets) > 0]
+    node_use = np.zeros(substrate.num_nodes)
+    placed = record.step_function >= 0
+    load = scenario.catalogue.load[service[placed], record.step_function[placed]]
+    np.add.at(node_use, record.step_node[placed], load * stay[request[placed]])
+    index = np.full((substrate.num_nodes, substrate.num_nodes), -1)
+    u, v = substrate.links.T
+    index[u, v] = index[v, u] = np.arange(substrate.num_links)
+    link = index[before, record.step_node]
+    link_use = np.zeros(substrate.num_links)
+    np.add.at(link_use, link[link >= 0], (scenario.catalogue.rate[service] * stay[request])[link >= 0])
+    return node_use / substrate.vm_capacity.sum(axis=1), link_use / substrate.link_capacity
+
+
+def draw_utilisation(record: RunRecord) -> Figure:
+    """Nodes sized by VM capacity and coloured by VM use, links coloured by link use."""
+    substrate = record.scenario.substrate
+    node_use, link_use = mean_use(record)
+    figure = Figure(figsize=(7, 5.5), layout="constrained")
+    axes = figure.add_subplot()
+    graph, place = substrate.to_networkx(), _layout(substrate)
+    capacity = substrate.vm_capacity.sum(axis=1)
+    colours, scale = colormaps["viridis_r"], Normalize(0, 1)
+    nx.draw_networkx_edges(
+        graph, place, ax=axes, edgelist=substrate.links.tolist(), edge_color=link_use, edge_cmap=colours,
+        edge_vmin=0, edge_vmax=1, width=2,
+    )  # fmt: skip
+    nx.draw_networkx_nodes(
+        graph, place, ax=axes, nodelist=range(substrate.num_nodes), node_color=node_use, cmap=colours, vmin=0, vmax=1,
+        node_size=100 + 500 * capacity / capacity.max(), edgecolors="black", linewidths=0.5,
+    )  # fmt: skip
+    if substrate.num_nodes <= 50:
+        nx.draw_networkx_labels(graph, place, ax=axes, font_size=7, font_color="tab:red")
+    figure.colorbar(ScalarMappable(scale, colours), ax=axes, label="mean used share (nodes: of their VMs' capacity)")
+    axes.set_title(f"{record.scenario.name}: {record.method}, workload seed {record.workload_seed}", fontsize=9)
+    axes.set_axis_off()
+    return figure
+
+
+def _layout(substrate: Substrate) -> dict[int, tuple[float, float]]:
+    """Where the nodes lie: by their coordinates if they have some, else spread out by links."""
+    if substrate.coordinates is not None:
+        return {node: (float(lon), float(lat)) for node, (lat, lon) in enumerate(substrate.coordinates)}
+    return nx.kamada_kawai_layout(substrate.to_networkx())
