@@ -1,0 +1,217 @@
+"""What an evaluation runs: anything that answers B networks step by step, be it a rule, a planner or a trained policy.
+
+A method of your own is any class with the attributes of :class:`Method`; in a recipe's yaml it is a ``_target_``.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from hydra.utils import instantiate
+from numba import njit
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.observations import ObservationPart, read_observation
+from nfv_torchrl.planners.base import Planner
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.simulator import Simulator
+
+
+class Method(Protocol):
+    """Decides for every environment of a simulator, one step of its walk at a time.
+
+    Attributes:
+        name: what tables and folders call it.
+        decides_admission: it refuses by itself: its run has ``admission_control`` on, so that ``reject`` is always
+            valid (reason ``rejected_by_policy``). False: as the scenario says.
+        mask: the mask of its run (``adjacency`` or ``feasible``), None: as the scenario says.
+        one_hot: whether the flat observation of its run ends with the one-hot request features.
+    """
+
+    name: str
+    decides_admission: bool
+    mask: str | None
+    one_hot: bool
+
+    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+        """Called once before a run, when all horizons have begun. ``seeds`` [B]: the workload seed of each environment.
+
+        The place to compile, allocate and seed: what happens here is not counted as decision time. Whatever was
+        carried from step to step in an earlier run is dropped.
+        """
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        """The next action of every environment, int64 [B]; it does not matter for one past its horizon."""
+
+
+@njit(cache=True)
+def pick_uniform(env, valid, states, actions):
+    """One of the valid actions of every environment; ``states`` uint64 [B] (xorshift, never 0) are advanced."""
+    for b in range(actions.size):
+        x = states[b]
+        x ^= x << np.uint64(13)
+        x ^= x >> np.uint64(7)
+        x ^= x << np.uint64(17)
+        states[b] = x
+        actions[b] = valid[b, np.int64((x >> np.uint64(33)) % np.uint64(env[b].mask_count))]
+
+
+class RandomMethod:
+    """``random``: uniform over the mask; ``random_feasible`` with ``mask="feasible"``.
+
+    Each environment draws from a generator of its workload seed, so that a run does not depend on which others are
+    made together with it.
+    """
+
+    decides_admission = False
+    one_hot = False
+
+    def __init__(self, *, name: str = "random", mask: str | None = None) -> None:
+        self.name, self.mask = name, mask
+
+    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+        """See :class:`Method`."""
+        states = [generator(seed, Stream.EXPLORATION).integers(1, 2**63) for seed in seeds]
+        self._states = np.array(states, np.uint64)
+        none = np.zeros(0, np.int64)
+        pick_uniform(simulator.world.env, simulator.world.seen.valid, self._states, none)
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        """See :class:`Method`."""
+        actions = np.empty(simulator.batch_size, np.int64)
+        pick_uniform(simulator.world.env, simulator.world.seen.valid, self._states, actions)
+        return actions
+
+
+class PlannerMethod:
+    """A planner that plans each request when it arrives and then plays its plan action by action.
+
+    A request without an embedding, or refused by the planner, is answered with ``reject``.
+    """
+
+    decides_admission = True
+    mask = None
+    one_hot = False
+
+    def __init__(self, planner: Planner, *, name: str) -> None:
+        self.planner, self.name = planner, name
+
+    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+        """See :class:`Method`."""
+        rules = simulator.world.rules
+        self._rows = np.arange(simulator.batch_size)
+        self._plans = np.zeros((simulator.batch_size, rules.max_steps), np.int64)
+        self._lengths = np.zeros(simulator.batch_size, np.int64)
+        self.planner.prepare(simulator.tables, rules)
+        self._plan(simulator, self._rows[:0])
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        """See :class:`Method`."""
+        env = simulator.world.env
+        steps = env["steps"]
+        fresh = np.flatnonzero((steps == 0) & (env["done"] == 0))
+        if fresh.size:
+            self._plan(simulator, fresh)
+        reject = simulator.num_actions - 1
+        return np.where(steps < self._lengths, self._plans[self._rows, steps], reject)
+
+    def _plan(self, simulator: Simulator, rows: np.ndarray) -> None:
+        world, env = simulator.world, simulator.world.env
+        self.planner.plan_batch(
+            world.tables,
+            world.rules,
+            rows,
+            env["net"],
+            world.ledger.vm_offered,
+            world.ledger.link_offered,
+            env["service"],
+            env["ingress"],
+            env["egress"],
+            self._plans,
+            self._lengths,
+        )
+
+
+class PolicyMethod:
+    """The greedy actions of a TorchRL actor.
+
+    Args:
+        actor: reads the keys of ``NFVEnv`` that it was trained on, writes ``action`` int64 [B]. What it writes below
+            ``next`` (a recurrent state) is given back to it with the next step.
+        name: what tables and folders call it.
+        parts: the parts of the observation that it reads, as given to ``NFVEnv``.
+        one_hot: as given to ``NFVEnv``.
+        mask: the mask that it was trained with, None: the scenario's.
+        decides_admission: whether it was trained with ``admission_control`` while the scenario may not have it.
+        device: where the actor lives.
+    """
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        *,
+        name: str = "policy",
+        parts: Sequence[ObservationPart] = (),
+        one_hot: bool = True,
+        mask: str | None = None,
+        decides_admission: bool = False,
+        device: torch.device | str | None = None,
+    ) -> None:
+        self.actor, self.name, self.parts, self.one_hot = actor, name, tuple(parts), one_hot
+        self.mask, self.decides_admission, self.device = mask, decides_admission, device
+        self._carried: TensorDictBase | None = None
+
+    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+        """See :class:`Method`."""
+        self._carried = None
+        self.act(simulator)  # the first call allocates and may compile
+        self._carried = None
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        """See :class:`Method`."""
+        seen = read_observation(simulator, self.parts)
+        if self.device is not None:
+            seen = seen.to(self.device)
+        if self._carried is not None:
+            seen.update(self._carried)
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            answer = self.actor(seen)
+        self._carried = answer.get("next", None)
+        return answer.get("action").cpu().numpy()
+
+
+def methods_from_config(config: Mapping[str, Any], scenario: Scenario) -> list[Method]:
+    """Build the methods of a recipe's ``method`` group, in order.
+
+    Args:
+        config: ``_target_`` and arguments of each method; the keys only tell the entries apart. An entry with
+            ``_partial_: true`` is called with ``scenario=`` after that (a checkpoint has to be checked against it).
+        scenario: what the methods will run on.
+
+    Raises:
+        ScenarioError: an entry is no method, or two have the same name.
+    """
+    methods: dict[str, Method] = {}
+    for key, entry in config.items():
+        if not isinstance(entry, Mapping) or "_target_" not in entry:
+            raise ScenarioError(f"method.{key}: {entry!r} is no method; give _target_ and the arguments of its class")
+        method = instantiate(entry)
+        if isinstance(method, functools.partial):
+            method = method(scenario=scenario)
+        lacking = [name for name in (*Method.__annotations__, "prepare", "act") if not hasattr(method, name)]
+        if lacking:
+            raise ScenarioError(f"method.{key}: {type(method).__name__} lacks {lacking[0]!r}; see evaluation.Method")
+        if method.name in methods:
+            raise ScenarioError(f"method.{key}: another method is called {method.name!r} too; set method.{key}.name")
+        methods[method.name] = method
+    if not methods:
+        raise ScenarioError("method: names no method; give at least one, such as method=greedy")
+    return list(methods.values())

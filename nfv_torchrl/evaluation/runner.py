@@ -1,0 +1,165 @@
+"""Runs a method on workloads, several at once, and turns what the simulator logged into run records."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.evaluation.methods import Method
+from nfv_torchrl.evaluation.records import FORWARD, RunRecord
+from nfv_torchrl.scenario.failures import FailureTimeline
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.workload import Workload
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.reasons import NO_REASON
+
+MOST_TOGETHER = 64
+"""Runs made at the same time; the log of one takes some 10 MB for 100,000 requests."""
+STEPS_PER_REPORT = 256
+
+Progress = Callable[[int], object]
+"""Told how many more requests have been answered (``tqdm.update``)."""
+
+
+def scenario_for(scenario: Scenario, method: Method) -> Scenario:
+    """The scenario as ``method`` runs it: with its own mask, and with ``admission_control`` if it refuses by itself."""
+    changes: dict[str, object] = {}
+    if method.mask is not None and method.mask != scenario.mask:
+        changes["mask"] = method.mask
+    if method.decides_admission and not scenario.admission_control:
+        changes["admission_control"] = True
+    return scenario.replace(**changes) if changes else scenario
+
+
+def run_method(
+    scenario: Scenario | Sequence[Scenario],
+    method: Method,
+    seeds: Sequence[int],
+    *,
+    progress: Progress | None = None,
+    workloads: Sequence[Workload] | None = None,
+    threads: int = 1,
+) -> list[RunRecord]:
+    """Run ``method`` on one workload per seed, each from an empty network to the end of its horizon.
+
+    Requests and failures follow from scenario and seed alone, so every method meets the same. What a planner or a
+    rule decides under a seed does not depend on the other seeds.
+
+    Args:
+        scenario: one for all seeds, or one for each (of the same services, horizon and rules).
+        method: what decides.
+        seeds: workload seeds, S of them.
+        progress: called now and then with the number of requests answered since.
+        workloads: S workloads instead of those of the seeds.
+        threads: threads of the simulator.
+
+    Returns:
+        S records in the order of ``seeds``. Their ``seconds`` are wall time within ``method.act`` alone: that of the
+        whole batch, shared out by number of requests.
+
+    Raises:
+        ScenarioError: no seeds, a number of scenarios or workloads other than S, scenarios that do not go together.
+    """
+    if not len(seeds):
+        raise ScenarioError("seeds: none was given; a run needs at least one workload seed")
+    scenarios = [scenario] if isinstance(scenario, Scenario) else list(scenario)
+    for what, given in (("scenarios", scenarios), ("workloads", workloads)):
+        if given is not None and len(given) not in ({1, len(seeds)} if given is scenarios else {len(seeds)}):
+            raise ScenarioError(f"{len(given)} {what} were given for {len(seeds)} seeds; give one for each")
+    scenarios = [scenario_for(each, method) for each in scenarios]
+    records: list[RunRecord] = []
+    for first in range(0, len(seeds), MOST_TOGETHER):
+        group = slice(first, first + MOST_TOGETHER)
+        here = scenarios if len(scenarios) == 1 else scenarios[group]
+        simulator = Simulator(here, len(seeds[group]), one_hot=method.one_hot, record=True, threads=threads)
+        given = None if workloads is None else workloads[group]
+        records += _run_together(simulator, method, [int(seed) for seed in seeds[group]], given, progress)
+    return records
+
+
+def _run_together(
+    simulator: Simulator,
+    method: Method,
+    seeds: Sequence[int],
+    workloads: Sequence[Workload] | None,
+    progress: Progress | None,
+) -> list[RunRecord]:
+    if workloads is None:
+        workloads = [simulator.scenario(b).workload(seed) for b, seed in enumerate(seeds)]
+    timelines = [simulator.scenario(b).failure_timeline(seed) for b, seed in enumerate(seeds)]
+    for b, (workload, timeline) in enumerate(zip(workloads, timelines, strict=True)):
+        simulator.start(b, workload, timeline)
+    method.prepare(simulator, seeds)
+    seconds = _play(simulator, method, progress)
+    requests = sum(len(workload) for workload in workloads)
+    return [
+        _record(simulator, b, method.name, seed, workload, timeline, seconds * len(workload) / max(requests, 1))
+        for b, (seed, workload, timeline) in enumerate(zip(seeds, workloads, timelines, strict=True))
+    ]
+
+
+def _play(simulator: Simulator, method: Method, progress: Progress | None) -> float:
+    """Step all environments to the end of their horizons. Returns the seconds spent deciding."""
+    env = simulator.world.env
+    seconds, steps, answered = 0.0, 0, 0
+    while not env["done"].all():
+        begun = time.perf_counter()
+        actions = method.act(simulator)
+        seconds += time.perf_counter() - begun
+        if actions.shape != (simulator.batch_size,):
+            raise ScenarioError(f"{method.name}: act returned shape {actions.shape}, not ({simulator.batch_size},)")
+        simulator.step(np.ascontiguousarray(actions, np.int64))
+        steps += 1
+        if progress is not None and steps % STEPS_PER_REPORT == 0:
+            total = int(env["cursor"].sum())
+            progress(total - answered)
+            answered = total
+    if progress is not None:
+        progress(int(env["cursor"].sum()) - answered)
+    return seconds
+
+
+def _record(
+    simulator: Simulator,
+    b: int,
+    name: str,
+    seed: int,
+    workload: Workload,
+    timeline: FailureTimeline,
+    seconds: float,
+) -> RunRecord:
+    """What environment b answered, as arrays of its own."""
+    log, requests = simulator.world.log, len(workload)
+    offsets = log.start[b, : requests + 1].copy()
+    node, vm, function = _steps(log.action[b, : offsets[-1]], offsets, simulator.tables.vm_capacity.shape[2])
+    reason = log.reason[b, :requests].copy()
+    return RunRecord(
+        method=name,
+        workload_seed=seed,
+        scenario=simulator.scenario(b),
+        workload=workload,
+        timeline=timeline,
+        accepted=reason == NO_REASON,
+        reason=reason,
+        delay_ms=log.delay[b, :requests].copy(),
+        cost=log.cost[b, :requests].copy(),
+        hops=log.hops[b, :requests].astype(np.int64),
+        interrupted_at=log.interrupted_at[b, :requests].astype(np.int64),
+        step_offsets=offsets,
+        step_node=node,
+        step_vm=vm,
+        step_function=function,
+        seconds=seconds,
+    )
+
+
+def _steps(actions: np.ndarray, offsets: np.ndarray, vms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Node, VM and function, int32 each, of actions 2 (n V + v) + s; functions are placed in the order of the chain."""
+    places = actions % 2 == 1
+    placed = np.r_[0, np.cumsum(places)]  # before each step, over all walks
+    before = np.repeat(placed[offsets[:-1]], np.diff(offsets))  # placed before the walk began
+    function = np.where(places, placed[:-1] - before, FORWARD)
+    return (actions // (2 * vms)).astype(np.int32), (actions // 2 % vms).astype(np.int32), function.astype(np.int32)
