@@ -146,8 +146,8 @@ class PolicyMethod:
     Args:
         actor: reads the keys of ``NFVEnv`` that it was trained on, writes ``action`` int64 [B]. What it writes below
             ``next`` (a recurrent state) is given back to it with the next step.
-        name: what tables and folders call it.
         parts: the parts of the observation that it reads, as given to ``NFVEnv``.
+        name: what tables and folders call it.
         one_hot: as given to ``NFVEnv``.
         mask: the mask that it was trained with, None: the scenario's.
         decides_admission: whether it was trained with ``admission_control`` while the scenario may not have it.
@@ -157,9 +157,9 @@ class PolicyMethod:
     def __init__(
         self,
         actor: TensorDictModuleBase,
+        parts: Sequence[ObservationPart] = (),
         *,
         name: str = "policy",
-        parts: Sequence[ObservationPart] = (),
         one_hot: bool = True,
         mask: str | None = None,
         decides_admission: bool = False,
