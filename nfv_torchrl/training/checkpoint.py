@@ -1,0 +1,99 @@
+"""Checkpoints of a run: written whole or not at all, the last few kept, read without executing pickled code."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from nfv_torchrl.errors import CheckpointError
+
+_NAME = re.compile(r"checkpoint_(\d+)\.pt")
+
+
+def save_file(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
+    """Write ``content`` (tensors, numbers, strings, and lists and dicts of them) to ``path``: all of it or nothing.
+
+    The file is written under another name in the same folder, flushed to the disk and renamed.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            torch.save(content, file)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(target)
+    finally:
+        partial.unlink(missing_ok=True)
+    return target
+
+
+def load_file(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read what ``save_file`` wrote, with every byte checked; nothing in the file is executed.
+
+    Raises:
+        CheckpointError: the file is missing, truncated, damaged or not a checkpoint.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise CheckpointError(f"there is no checkpoint {source}; give the path of a .pt file that a recipe wrote")
+    try:
+        with zipfile.ZipFile(source) as archive:
+            damaged = archive.testzip()
+        if damaged is not None:
+            raise CheckpointError(f"checkpoint {source} is damaged (at {damaged}); use an older one")
+        content = torch.load(source, map_location="cpu", weights_only=True)
+    except CheckpointError:
+        raise
+    except Exception as error:  # whatever a damaged file makes the readers raise
+        raise CheckpointError(f"checkpoint {source} is truncated or not a checkpoint ({error}); use another one") from error
+    if not isinstance(content, dict):
+        raise CheckpointError(f"{source} holds a {type(content).__name__}, not a checkpoint of this project")
+    return content
+
+
+class CheckpointFolder:
+    """The rotating checkpoints ``checkpoint_<frames>.pt`` of one run.
+
+    Args:
+        folder: the run's folder.
+        keep: how many of the newest stay.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], keep: int = 3) -> None:
+        if keep < 1:
+            raise CheckpointError(f"checkpoint.keep is {keep}; at least one checkpoint must stay")
+        self.folder = Path(folder)
+        self.keep = keep
+
+    def files(self) -> list[Path]:
+        """Checkpoints from the oldest to the newest."""
+        found = [(int(match[1]), path) for path in self.folder.glob("checkpoint_*.pt") if (match := _NAME.fullmatch(path.name))]
+        return [path for _, path in sorted(found)]
+
+    def save(self, frames: int, content: dict[str, Any]) -> Path:
+        """Write a checkpoint and drop those that are too old."""
+        path = save_file(self.folder / f"checkpoint_{frames:012d}.pt", content)
+        for old in self.files()[: -self.keep]:
+            old.unlink()
+        return path
+
+    def load_newest(self) -> tuple[Path, dict[str, Any]]:
+        """The newest checkpoint that is whole. A damaged one is named in a warning and the one before it used.
+
+        Raises:
+            CheckpointError: there is none.
+        """
+        for path in reversed(self.files()):
+            try:
+                return path, load_file(path)
+            except CheckpointError as error:
+                warnings.warn(f"{error}; going on from the one before it", stacklevel=2)
+        raise CheckpointError(f"{self.folder} holds no checkpoint to resume from; start without resume=true")

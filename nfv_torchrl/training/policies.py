@@ -1,0 +1,110 @@
+"""Trained policies as files, and back as methods that can be evaluated."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hydra.utils import instantiate
+from torch import nn
+
+from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.evaluation.methods import PolicyMethod
+from nfv_torchrl.networks import QNetwork, Sizes
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.checkpoint import load_file, save_file
+
+FORMAT = 1
+
+
+def policy_content(
+    loss: nn.Module, sizes: Sizes, config: Mapping[str, Any], scenario: Scenario, scores: Mapping[str, float]
+) -> dict[str, Any]:
+    """What a policy file holds: weights, the network and loss they belong to, and where they come from.
+
+    Args:
+        loss: a ``RequestLoss``.
+        sizes: sizes it was made for.
+        config: the recipe's config: ``network``, ``loss`` and ``one_hot`` are needed to build it again.
+        scenario: what it was trained on.
+        scores: numbers to keep beside it.
+    """
+    return {
+        "format": FORMAT,
+        "weights": {name: tensor.detach().cpu().clone() for name, tensor in loss.state_dict().items()},
+        "sizes": dict(sizes._asdict()),
+        "network": dict(config["network"]),
+        "loss": dict(config["loss"]),
+        "one_hot": bool(config["one_hot"]),
+        "scenario": scenario.name,
+        "scores": dict(scores),
+    }
+
+
+def save_policy(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
+    """Write a policy file, all of it or nothing."""
+    save_file(path, dict(content))
+
+
+def load_policy(
+    path: str | os.PathLike[str],
+    scenario: Scenario,
+    *,
+    name: str = "checkpoint",
+    trusted_packages: Sequence[str] = (),
+) -> PolicyMethod:
+    """The greedy policy of a file (``best.pt`` or a full checkpoint of a run) for ``scenario``.
+
+    Args:
+        path: the file.
+        scenario: what it is to act on; networks of fixed size need the sizes they were trained on.
+        name: name of the method in tables and folders.
+        trusted_packages: a policy file names the classes of its network and loss. Those of this project are built as
+            they are; others only from packages named here, because building an object runs its code.
+
+    Raises:
+        CheckpointError: unreadable, made for another network, or of a package that is not trusted.
+    """
+    content = load_file(path)
+    content = content.get("policy", content)
+    if content.get("format") != FORMAT:
+        raise CheckpointError(f"{path} is not a policy file of this version (format {content.get('format')!r})")
+    for part in ("network", "loss"):
+        _check_target(path, content[part], trusted_packages)
+    network = instantiate(content["network"])
+    sizes = Sizes.of(Simulator(scenario, 1, one_hot=content["one_hot"]))
+    loss = instantiate(content["loss"], network=network, sizes=sizes)
+    module = q_network(loss)
+    trained = Sizes(**content["sizes"])
+    fits = trained == sizes or (module.any_size and trained.services == sizes.services)
+    if not fits:
+        raise CheckpointError(
+            f"{path} was trained on {content['scenario']} with {trained.actions} actions and {trained.observation} "
+            f"observations; {scenario.name} has {sizes.actions} and {sizes.observation}. Evaluate it on the scenario "
+            "(and scenario.seed sizes) it was trained on, or train with network=candidate, which fits any size"
+        )
+    loss.load_state_dict(content["weights"])
+    return PolicyMethod(loss.actor, module.observations(), one_hot=content["one_hot"], name=name)
+
+
+def q_network(loss: Any) -> QNetwork:
+    """The Q-network inside a loss's actor."""
+    for module in loss.actor.modules():
+        if isinstance(module, QNetwork):
+            return module
+    raise CheckpointError("the loss's actor holds no QNetwork; derive the network from nfv_torchrl.networks.QNetwork")
+
+
+def _check_target(path: Any, config: Mapping[str, Any], trusted_packages: Sequence[str]) -> None:
+    """Refuse a config that would call anything outside the trusted packages, at any depth."""
+    target = config.get("_target_", "")
+    if target and target.split(".")[0] not in {"nfv_torchrl", *trusted_packages}:
+        raise CheckpointError(
+            f"{path} asks for {target}, which is not part of this project; if you trust it, name its package in "
+            "trusted_packages"
+        )
+    for value in config.values():
+        if isinstance(value, Mapping):
+            _check_target(path, value, trusted_packages)

@@ -1,0 +1,165 @@
+"""Train a DQN to admit, place and route service chains (DQN-AR), explicitly, top to bottom.
+
+    python recipes/dqn.py                        # scenario=paper preset=default
+    python recipes/dqn.py scenario=geant loss=dqn network.hidden=[512,512]
+    python recipes/dqn.py run_dir=runs/dqn resume=true
+
+Copy, paste and change it: every part below can be replaced without touching the others.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import hydra
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tensordict.nn import TensorDictSequential
+from torchrl.checkpoint import GlobalRNGState
+from torchrl.collectors import Collector
+from torchrl.data import Categorical, LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.modules import EGreedyModule
+from tqdm import tqdm
+
+from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.networks import Sizes
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.policies import q_network
+from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
+from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
+from nfv_torchrl.training.window import TrainingWindow
+
+
+@hydra.main(config_path="config", config_name="dqn", version_base=None)
+@clear_errors
+def main(cfg: DictConfig) -> None:
+    device = choose_device(cfg.device)
+    set_threads(cfg.threads)
+    seed_everything(cfg.seed)
+    config = OmegaConf.to_container(cfg, resolve=True)
+    scenario = Scenario.from_config(config["scenario"])
+    folder = RunFolder(Path(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
+
+    # Loss first: it makes the network, whose observations the environment has to emit.
+    sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
+    loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+    env = NFVEnv(
+        scenario,
+        cfg.collector.num_envs,
+        reward=instantiate(cfg.reward),
+        one_hot=cfg.one_hot,
+        observations=q_network(loss).observations(),
+        stagger=cfg.stagger,
+        seed=cfg.seed,
+        threads=cfg.env_threads,
+    )
+
+    # Policy and exploration. A spec of its own: a batched environment's spec would take on the mask.
+    explore = EGreedyModule(Categorical(sizes.actions), action_mask_key="action_mask").to(device)
+    policy = TensorDictSequential(loss.actor, explore)
+    epsilon = instantiate(cfg.exploration)
+
+    frames_per_batch = cfg.collector.num_envs * cfg.collector.steps
+    buffer = TensorDictReplayBuffer(
+        storage=LazyTensorStorage(cfg.buffer.size, device=device), batch_size=cfg.buffer.batch_size
+    )
+    updater = instantiate(cfg.target)(loss)
+    optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
+
+    def update() -> torch.Tensor:
+        """One gradient step; returns the loss and the gradient norm without waiting for them."""
+        values = loss(buffer.sample())
+        total = sum(value for key, value in values.items() if key.startswith("loss"))
+        optimizer.zero_grad()
+        total.backward()
+        limit = cfg.learner.max_grad_norm or float("inf")
+        norm = torch.nn.utils.clip_grad_norm_(loss.parameters(), limit)
+        optimizer.step()
+        updater.step()
+        return torch.stack((total.detach(), norm.detach()))
+
+    if cfg.learner.compile:
+        update = torch.compile(update)
+
+    progress = Progress()
+    window = TrainingWindow(tuple(kind.name for kind in scenario.catalogue.types), scenario.warmup)
+    state = {
+        "loss": loss,
+        "optimizer": optimizer,
+        "updater": updater,
+        "buffer": buffer,
+        "env": env,
+        "window": window,
+        "progress": progress,
+        "rng": GlobalRNGState(),
+    }
+    # A new environment's first reset starts its horizons, a loaded one's goes on where it was.
+    folder.load(state)
+    collector = Collector(
+        env,
+        policy,
+        frames_per_batch=frames_per_batch,
+        total_frames=-1,
+        policy_device=device,
+        env_device="cpu",
+        storing_device="cpu",
+    )
+    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
+    bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)
+    batches = iter(collector)
+    learning = torch.zeros(2, device=device)
+
+    with StopRequest() as stop:
+        while progress.frames < cfg.collector.total_frames and not stop.asked:
+            explore.eps.fill_(epsilon(progress.frames))
+            data = next(batches)
+            progress.iteration += 1
+            progress.frames += data.numel()
+            window.add(data)
+            buffer.extend(loss.prepare(data))
+
+            started = time.perf_counter()
+            if progress.frames >= cfg.buffer.warmup_frames:
+                for _ in range(cfg.learner.updates):
+                    learning = update()
+                progress.updates += cfg.learner.updates
+            progress.learning_seconds += time.perf_counter() - started
+
+            if progress.iteration % cfg.logger.interval == 0:
+                metrics = window.metrics()
+                metrics |= progress.speeds()
+                metrics |= {
+                    "train/epsilon": float(explore.eps),
+                    "train/loss": float(learning[0]),
+                    "train/gradient_norm": float(learning[1]),
+                    "train/chosen_q": float(data["chosen_action_value"].mean()),
+                    "train/reward": float(data["next", "reward"].mean()),
+                }
+                logger.scalars(metrics, progress.frames)
+                bar.set_postfix_str(
+                    f"AAR {metrics.get('train/aar', 0):.3f}  cost {metrics.get('train/cost_per_accepted', 0):.0f} $"
+                )
+                window.reset()
+            if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
+                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+            if progress.iteration % cfg.checkpoint.interval == 0:
+                folder.save(state, progress.frames)
+            bar.update(progress.frames - bar.n)
+
+    bar.close()
+    if cfg.eval.interval and not stop.asked:
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+    folder.save(state, progress.frames)
+    logger.close()
+    collector.shutdown()
+    folder.print_ending(interrupted=stop.asked)
+
+
+if __name__ == "__main__":
+    main()
