@@ -160,6 +160,7 @@ class _Relaxation:
         self.arrived = int(counts.sum())
         requests = np.stack([workload.service, workload.ingress, workload.egress])[:, counts]
         self.classes, kind = np.unique(requests, axis=1, return_inverse=True)
+        kind = kind.ravel()  # one NumPy release returns it as a row
         possible = self._possible()[kind]
         self.rows = np.flatnonzero(counts)[possible]  # requests of the workload that are in the programme
         self.kind, self.slot = kind[possible], workload.slot[self.rows]
@@ -202,6 +203,7 @@ class _Relaxation:
         self.pool = (vm_units.sum() + self._failed(vm_units, 0).sum(axis=0)) / LEDGER_UNITS
         self.cuts = candidate_cuts(substrate)
         self.pairs, self.class_pair = np.unique(np.sort(self.classes[1:], axis=0), axis=1, return_inverse=True)
+        self.class_pair = self.class_pair.ravel()
         self.crosses = crossed(self.cuts, self.pairs.T)  # [M, P]
         links_of = crossed(self.cuts, substrate.links).astype(np.float64)  # [M, L]
         offered = (link_units[:, None] + self._failed(link_units, vm_units.size)) / LEDGER_UNITS
@@ -241,12 +243,12 @@ class _Relaxation:
         """Groups of requests alike to the programme, capacity float64 [K, T], and each request's group."""
         demand = self._demand(len(self.active))
         looks, look_of = np.unique(np.vstack([demand, value]), axis=1, return_inverse=True)
-        keys = np.stack([look_of[self.kind], self.slot, self.until])
+        keys = np.stack([look_of.ravel()[self.kind], self.slot, self.until])
         groups, column_of, count = np.unique(keys, axis=1, return_inverse=True, return_counts=True)
         look = looks[:, groups[0]]
         columns = Columns(groups[1], groups[2], count.astype(np.float64), look[:-1], look[-1])
         pool = np.broadcast_to(self.pool, (self.scenario.horizon,))
-        return columns, np.vstack([pool, self.cut_capacity[self.active]]), column_of
+        return columns, np.vstack([pool, self.cut_capacity[self.active]]), column_of.ravel()
 
     def _demand(self, cuts: int) -> np.ndarray:
         """What a request of each class takes of the pool and the first ``cuts`` active cuts, float64 [1 + cuts, C]."""
