@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Callable
-from typing import NoReturn, ParamSpec, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NoReturn, ParamSpec, TypeVar
 
 from hydra.errors import InstantiationException
 
@@ -37,6 +37,17 @@ def clear_errors(main: Callable[P, R]) -> Callable[P, R]:
             _leave(error.__cause__)
 
     return guarded
+
+
+def check_keys(config: Mapping[str, Any], known: Iterable[str]) -> None:
+    """Refuse keys that a recipe would not read, such as one added with ``+key=value``.
+
+    Raises:
+        ScenarioError: there is such a key.
+    """
+    for key in config:
+        if key not in (names := [*known]):
+            raise ScenarioError(f"{key}: this recipe has no such key; known keys: {', '.join(names)}")
 
 
 def _leave(error: BaseException) -> NoReturn:

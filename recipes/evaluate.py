@@ -1,0 +1,145 @@
+"""Compare methods on the same requests, seed by seed, and audit what they decided.
+
+    python recipes/evaluate.py method=[random,random_feasible,greedy,tabu,myopic_optimal]
+    python recipes/evaluate.py method=[greedy,checkpoint] checkpoint=runs/dqn/best.pt scenario=paper output=runs/table
+    python recipes/evaluate.py scenario=heavy scenario.colocation=true method=[greedy,priced_admit] bounds=true
+
+Prints the mean and the 95 % confidence interval of every metric over the workload seeds, and paired differences to a
+reference method. With output=DIR it writes DIR/METHOD/seed_S/ (scenario, substrate, workload, decisions, metrics),
+DIR/summary.csv and DIR/per_seed.csv. All keys: config/evaluate.yaml.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+from tqdm import tqdm
+
+from nfv_torchrl.errors import AuditError, ScenarioError
+from nfv_torchrl.evaluation.audit import audit_folders, find_runs
+from nfv_torchrl.evaluation.comparison import Comparison
+from nfv_torchrl.evaluation.methods import Method, methods_from_config
+from nfv_torchrl.evaluation.records import write_run
+from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.evaluation.tables import render, write_summary
+from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.training.cli import check_keys, clear_errors
+from nfv_torchrl.training.setup import set_threads
+
+KEYS = ("scenario", "method", "checkpoint", "seeds", "output", "reference", "bounds", "audit", "threads")
+
+
+@hydra.main(config_path="config", config_name="evaluate", version_base=None)
+@clear_errors
+def main(cfg: DictConfig) -> None:
+    config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
+    check_keys(config, KEYS)
+    set_threads(cfg.threads)
+    scenario = Scenario.from_config(config["scenario"])
+    seeds = read_seeds(config["seeds"], scenario)
+    check_checkpoint(config)
+    methods = methods_from_config(config["method"], scenario)
+    reference = choose_reference(config["reference"], methods)
+    comparison = Comparison(scenario)
+
+    with output_folder(config["output"], methods, seeds) as folder:
+        for method in methods:
+            requests = sum(len(scenario.workload(seed)) for seed in seeds)
+            with tqdm(total=requests, desc=method.name, unit="request", disable=None) as bar:
+                records = run_method(scenario, method, seeds, progress=bar.update)
+            for record in records:
+                write_run(folder / method.name / f"seed_{record.workload_seed}", record, comparison.add(record))
+        if cfg.bounds:
+            add_bounds(comparison, scenario, seeds)
+        write_summary(folder, comparison, reference)
+        print(render(comparison, reference))
+        if cfg.audit:
+            audit(folder)
+        if config["output"] is not None:
+            print(f"\nDecisions and tables: {folder}")
+
+
+def read_seeds(seeds: Any, scenario: Scenario) -> list[int]:
+    """Workload seeds from a number of them or a list."""
+    if isinstance(seeds, int) and not isinstance(seeds, bool) and seeds > 0:
+        seeds = list(range(seeds))
+    whole = isinstance(seeds, list) and all(isinstance(s, int) and not isinstance(s, bool) and s >= 0 for s in seeds)
+    if not whole or not seeds or len(set(seeds)) < len(seeds):
+        raise ScenarioError(f"seeds: {seeds!r}; use a number of at least 1, or a list of different integers >= 0")
+    if scenario.workload_path is not None and scenario.failures.off and len(seeds) > 1:
+        # The same requests again and again would pass for certainty.
+        print(f"One workload, that of {scenario.workload_path}: it is run once, under seed {seeds[0]}.\n")
+        return seeds[:1]
+    return seeds
+
+
+def check_checkpoint(config: dict[str, Any]) -> None:
+    """``checkpoint=PATH`` and ``method=checkpoint`` go together."""
+    if config["checkpoint"] is None and "checkpoint" in config["method"]:
+        raise ScenarioError("checkpoint: is null; method=checkpoint needs a file, such as checkpoint=runs/dqn/best.pt")
+    if config["checkpoint"] is not None and "checkpoint" not in config["method"]:
+        raise ScenarioError(
+            f"checkpoint: {config['checkpoint']} would not be read; add it to the methods: method=[greedy,checkpoint]"
+        )
+
+
+def choose_reference(name: str | None, methods: Sequence[Method]) -> str:
+    """The method that the others are paired with."""
+    names = [method.name for method in methods]
+    if name is None:
+        return "greedy" if "greedy" in names else names[0]
+    if name not in names:
+        raise ScenarioError(f"reference: {name!r} is none of the methods that run; use one of {names}")
+    return name
+
+
+@contextlib.contextmanager
+def output_folder(output: str | None, methods: Sequence[Method], seeds: Sequence[int]) -> Iterator[Path]:
+    """``output``, or a temporary folder: what is not kept is audited all the same.
+
+    An earlier evaluation in ``output`` is replaced, but not mixed with this one.
+    """
+    if output is None:
+        with tempfile.TemporaryDirectory(prefix="evaluation_") as temporary:
+            yield Path(temporary)
+        return
+    folder = Path(output)
+    if folder.exists() and not folder.is_dir():
+        raise ScenarioError(f"output: {folder} is a file; name a folder")
+    mine = {folder / method.name / f"seed_{seed}" for method in methods for seed in seeds}
+    others = [str(run.relative_to(folder)) for run in find_runs(folder) if run not in mine]
+    if others:
+        raise ScenarioError(
+            f"output: {folder} holds {', '.join(others[:3])} of another evaluation; name another folder or empty it"
+        )
+    yield folder
+
+
+def add_bounds(comparison: Comparison, scenario: Scenario, seeds: Sequence[int]) -> None:
+    """Upper bounds on AAR: knowing all requests in advance, and not knowing lifetimes where methods do not see them."""
+    blind = scenario.workload_path is None and not scenario.observe_lifetime
+    for seed in tqdm(seeds, desc="bounds", unit="seed", disable=None):
+        workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
+        comparison.add_bound("hindsight", seed, hindsight_bound(scenario, workload, timeline).aar)
+        if blind:
+            comparison.add_bound("blind", seed, blind_bound(scenario, workload, timeline).aar)
+
+
+def audit(folder: Path) -> None:
+    """Recompute everything from the files in ``folder``."""
+    reports = audit_folders([folder], progress=lambda runs: tqdm(runs, desc="audit", unit="run", disable=None))
+    found = [f"{report.folder}: {problem}" for report in reports for problem in report.problems]
+    if found:
+        raise AuditError("\n  ".join(["the audit found", *found]))
+    print(f"\nAudit: {len(reports)} runs, {sum(report.requests for report in reports):,} requests, nothing found.")
+
+
+if __name__ == "__main__":
+    main()
