@@ -53,7 +53,7 @@ def load_file(path: str | os.PathLike[str]) -> dict[str, Any]:
     except CheckpointError:
         raise
     except Exception as error:  # whatever a damaged file makes the readers raise
-        raise CheckpointError(f"checkpoint {source} is truncated or not a checkpoint ({error}); use another one") from error
+        raise CheckpointError(f"{source} is truncated or not a checkpoint ({error}); use another one") from error
     if not isinstance(content, dict):
         raise CheckpointError(f"{source} holds a {type(content).__name__}, not a checkpoint of this project")
     return content
@@ -75,8 +75,8 @@ class CheckpointFolder:
 
     def files(self) -> list[Path]:
         """Checkpoints from the oldest to the newest."""
-        found = [(int(match[1]), path) for path in self.folder.glob("checkpoint_*.pt") if (match := _NAME.fullmatch(path.name))]
-        return [path for _, path in sorted(found)]
+        matches = ((_NAME.fullmatch(path.name), path) for path in self.folder.glob("checkpoint_*.pt"))
+        return [path for _, path in sorted((int(match[1]), path) for match, path in matches if match)]
 
     def save(self, frames: int, content: dict[str, Any]) -> Path:
         """Write a checkpoint and drop those that are too old."""

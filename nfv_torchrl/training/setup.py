@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import signal
 from pathlib import Path
@@ -51,8 +50,7 @@ def set_aside(folder: Path) -> Path | None:
     number = 1
     while (older := folder.with_name(f"{folder.name}.{number}")).exists():
         number += 1
-    os.rename(folder, older)
-    return older
+    return folder.rename(older)
 
 
 class StopRequest:
