@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.simulator.state import ENV_DTYPE, View, World
+from nfv_torchrl.simulator.state import ENV_DTYPE, World
 
 _GROUPS = ("ledger", "running", "walk")
 _SEEN = ("mask", "valid", "flat")
@@ -46,5 +46,6 @@ def restore_snapshot(world: World, copies: dict[str, np.ndarray]) -> World:
         )
         for group in _GROUPS
     }
-    seen = View(*(copies[f"seen.{name}"].copy() for name in _SEEN), one_hot=world.seen.one_hot)
+    mask, valid, flat = (copies[f"seen.{name}"].copy() for name in _SEEN)
+    seen = world.seen._replace(mask=mask, valid=valid, flat=flat)
     return world._replace(seen=seen, **fresh)
