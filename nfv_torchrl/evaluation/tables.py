@@ -50,7 +50,7 @@ def render(comparison: Comparison, reference: str | None = None, markdown: bool 
         reference: the method that the others are paired with; None (or a single method): no paired table.
         markdown: Markdown instead of text for a terminal.
     """
-    tables = [method_table(comparison)]
+    tables = [method_table(comparison), detail_table(comparison)]
     if reference is not None and len(comparison.methods) > 1:
         tables.append(paired_table(comparison, reference))
     return "\n\n".join([headline(comparison), *(table.markdown() if markdown else table.text() for table in tables)])
@@ -88,15 +88,41 @@ def method_table(comparison: Comparison) -> Table:
         ("delay ms", "mean_delay_ms", _amount),
         ("VM use", "vm_utilisation", _share),
         ("link use", "link_utilisation", _share),
-        ("decisions/s", "decisions_per_second", _amount),
     ]
+    # The runs of a batch share their decision time, so its spread over seeds says nothing.
+    rows = [
+        (
+            method,
+            *(_cell(comparison.interval(method, key), form) for _, key, form in shown),
+            _amount(comparison.interval(method, "decisions_per_second").mean),
+        )
+        for method in comparison.methods
+    ]
+    blank = [UNDEFINED] * len(shown)
+    rows += [(f"bound: {name}", _cell(comparison.bound(name), _share), *blank) for name in comparison.bounds]
+    title = "Mean and 95 % confidence interval over workload seeds"
+    return Table(title, ("method", *(head for head, _, _ in shown), "decisions/s"), tuple(rows))
+
+
+def detail_table(comparison: Comparison) -> Table:
+    """One row a method: why requests were rejected, what each service cost, and what failures cut short, if any."""
+    named = [
+        ("rejected/", "", _percent_of),
+        ("cost_per_accepted/", "cost $ ", _amount),
+        ("interrupted", "interrupted", _percent_of),
+        ("lost_service_time", "lost s", _amount),
+    ]
+    shown = []
+    for key in comparison.metric_names():
+        for prefix, head, form in named:
+            values = [comparison.interval(method, key).mean for method in comparison.methods]
+            if key.startswith(prefix) and any(value > 0 for value in values):
+                shown.append((head + key.removeprefix(prefix), key, form))
     rows = [
         (method, *(_cell(comparison.interval(method, key), form) for _, key, form in shown))
         for method in comparison.methods
     ]
-    blank = [UNDEFINED] * (len(shown) - 1)
-    rows += [(f"bound: {name}", _cell(comparison.bound(name), _share), *blank) for name in comparison.bounds]
-    title = "Mean and 95 % confidence interval over workload seeds"
+    title = "Rejections by reason (share of arrived), cost per accepted request of each service"
     return Table(title, ("method", *(head for head, _, _ in shown)), tuple(rows))
 
 
@@ -204,6 +230,10 @@ def _signed(value: float) -> str:
 
 def _percent(value: float) -> str:
     return f"{100 * value:+.1f} %"
+
+
+def _percent_of(value: float) -> str:
+    return f"{100 * value:.1f} %"
 
 
 def _amount(value: float) -> str:
