@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import kernel
+from nfv_torchrl.planners.compiled import kernel, part
 from nfv_torchrl.planners.labels import (
     FOUND,
     Critical,
@@ -123,7 +123,7 @@ def plan_cheapest(
     return steps
 
 
-@kernel
+@part
 def _cheapest_walk(problem, links, scratch):
     """Steps of the best walk, written to ``scratch.walk``.
 
@@ -161,17 +161,17 @@ def _cheapest_walk(problem, links, scratch):
             return steps
 
 
-@kernel
+@part
 def _track(problem, scratch, steps):
     """Make critical what the walk overused: resources, or the number of steps. 0 if nothing was."""
     outcome = add_overused(problem, scratch.walk, steps, scratch.critical)
     if steps > problem.max_steps:
-        scratch.critical.count[1] = 1
+        scratch.critical.tracked[1] = 1
         return 1 if outcome == 0 else outcome
     return outcome
 
 
-@kernel
+@part
 def _follow(problem, to_go, walk):
     """The walk that the bounds describe."""
     node = problem.ingress

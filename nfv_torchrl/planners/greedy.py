@@ -11,13 +11,13 @@ from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.base import CompiledPlanner
-from nfv_torchrl.planners.compiled import kernel
+from nfv_torchrl.planners.compiled import kernel, part
 from nfv_torchrl.planners.placing import Placing, grow_placing, lay_walk, make_placing, place_greedily
 from nfv_torchrl.planners.walks import OVERFLOW, encode_walk, make_problem, walk_totals
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 
-@kernel
+@part
 def encode_placement(problem, placing, number, position, vm, plan):
     """Write a feasible placement on path ``number`` as actions; returns how many, 0 if it fails the step checks."""
     steps = lay_walk(problem, placing, number, position, vm)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import inlined, kernel
+from nfv_torchrl.planners.compiled import inlined, part
 from nfv_torchrl.planners.walks import OVERFLOW
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
@@ -24,7 +24,7 @@ NONE = 0
 class Critical(NamedTuple):
     """Resources whose use within one walk is tracked: VM v of node n is n * V + v, link l is N * V + l."""
 
-    count: np.ndarray  # int64 [2]: how many; 1 if the number of steps is tracked too
+    tracked: np.ndarray  # int64 [2]: how many resources; 1 if the number of steps is tracked too
     resource: np.ndarray  # int64 [C]
     column: np.ndarray  # int64 [N * V + L], place among the critical ones, -1: not critical
     used: np.ndarray  # int64 [N * V + L], scratch, all zero between uses
@@ -55,7 +55,7 @@ def make_critical(nodes: int, vms: int, links: int, functions: int, columns: int
     """Scratch for at most ``columns`` critical resources."""
     resources = nodes * vms + links
     return Critical(
-        count=np.zeros(2, np.int64),
+        tracked=np.zeros(2, np.int64),
         resource=np.zeros(columns, np.int64),
         column=np.full(resources, -1),
         used=np.zeros(resources, np.int64),
@@ -87,9 +87,9 @@ def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
 @inlined
 def begin_request(problem, critical):
     """Forget the critical resources of the request before."""
-    for c in range(critical.count[0]):
+    for c in range(critical.tracked[0]):
         critical.column[critical.resource[c]] = -1
-    critical.count[:] = 0
+    critical.tracked[:] = 0
     critical.tail[problem.functions] = 0
     for i in range(problem.functions - 1, -1, -1):
         critical.tail[i] = critical.tail[i + 1] + problem.load_units[i]
@@ -129,11 +129,11 @@ def add_overused(problem, walk, steps, critical):
             else:
                 continue
             if critical.used[resource] > offered_of(problem, resource):
-                column = critical.count[0]
+                column = critical.tracked[0]
                 if column < critical.resource.size:
                     critical.resource[column] = resource
                     critical.column[resource] = column
-                    critical.count[0] += 1
+                    critical.tracked[0] += 1
                     outcome = 1 if outcome == 0 else outcome
                 else:
                     outcome = OVERFLOW
@@ -141,7 +141,7 @@ def add_overused(problem, walk, steps, critical):
     return outcome
 
 
-@kernel
+@part
 def search_labels(problem, cost_to_go, delay_to_go, labels, critical, walk):
     """Cheapest walk within the delay that does not overuse a critical resource, into ``walk``.
 
@@ -161,7 +161,7 @@ def search_labels(problem, cost_to_go, delay_to_go, labels, critical, walk):
     labels.placed[label] = 0
     labels.steps[label] = 0
     labels.parent[label] = -1
-    for c in range(critical.count[0]):
+    for c in range(critical.tracked[0]):
         labels.usage[label, c] = 0
     _list_and_open(labels, label, cost_to_go[0, problem.ingress])
     while labels.size[1] > 0:
@@ -227,14 +227,14 @@ def _open(problem, cost_to_go, delay_to_go, labels, critical, parent, node, link
     if bound == np.inf:
         return
     steps = labels.steps[parent] + 1
-    if critical.count[1] > 0 and steps + problem.functions - placed > problem.max_steps:
+    if critical.tracked[1] > 0 and steps + problem.functions - placed > problem.max_steps:
         return
     label = labels.size[0]
     labels.cost[label] = cost
     labels.delay[label] = delay
     labels.placed[label] = placed
     labels.steps[label] = steps
-    if critical.count[0] > 0 and not _use(problem, labels, critical, parent, label, node, link, vm):
+    if critical.tracked[0] > 0 and not _use(problem, labels, critical, parent, label, node, link, vm):
         return
     if not _keep(problem, labels, critical, label, node):
         return
@@ -249,7 +249,7 @@ def _open(problem, cost_to_go, delay_to_go, labels, critical, parent, node, link
 @inlined
 def _use(problem, labels, critical, parent, label, node, link, vm):
     """Book the step's use of critical resources; False if one of them has not enough left."""
-    for c in range(critical.count[0]):
+    for c in range(critical.tracked[0]):
         labels.usage[label, c] = labels.usage[parent, c]
     nodes, vms = problem.vm_offered.shape
     if link >= 0:
@@ -294,11 +294,11 @@ def _dominates(problem, labels, critical, a, b):
     """Whether every completion of label ``b`` also completes ``a``, no dearer."""
     if labels.cost[a] > labels.cost[b] or labels.delay[a] > labels.delay[b]:
         return False
-    if critical.count[1] > 0 and labels.steps[a] > labels.steps[b]:
+    if critical.tracked[1] > 0 and labels.steps[a] > labels.steps[b]:
         return False
     nodes, vms = problem.vm_offered.shape
     placed = labels.placed[a]
-    for c in range(critical.count[0]):
+    for c in range(critical.tracked[0]):
         if labels.usage[a, c] > labels.usage[b, c]:
             resource = critical.resource[c]
             # More than the rest of a walk can need is as good as unused. Between two placements a best walk visits

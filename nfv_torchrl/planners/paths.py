@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import kernel
+from nfv_torchrl.planners.compiled import kernel, part
 from nfv_torchrl.planners.walks import OVERFLOW
 from nfv_torchrl.simulator.tables import Tables
 
@@ -129,7 +129,7 @@ def paths_between(tables, net, ingress, egress, paths, candidates):
     return row
 
 
-@kernel
+@part
 def _accept(paths, candidates, row, best):
     """Move a candidate into the row; returns its place there."""
     place = paths.found[row]
@@ -148,7 +148,7 @@ def _accept(paths, candidates, row, best):
     return place
 
 
-@kernel
+@part
 def _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop):
     """Cheapest path that shares the first ``hop`` hops with path ``number`` (-1: any) but no accepted path's next."""
     candidates.blocked_node[:] = False
@@ -190,7 +190,7 @@ def _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop):
         node = candidates.via_node[node]
 
 
-@kernel
+@part
 def _search(tables, net, spur, egress, candidates):
     """Cost of the cheapest path that keeps off the blocked nodes and links, inf if none."""
     nodes = tables.num_nodes[net]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import kernel
+from nfv_torchrl.planners.compiled import part
 from nfv_torchrl.planners.paths import Candidates, Paths, grow_paths, make_candidates, make_paths, paths_between
 from nfv_torchrl.planners.walks import OVERFLOW, Walk, make_walk
 from nfv_torchrl.simulator.tables import Rules, Tables
@@ -53,7 +53,7 @@ def grow_placing(placing: Placing) -> Placing:
     return placing._replace(paths=grow_paths(placing.paths))
 
 
-@kernel
+@part
 def node_at(problem, paths, number, position):
     """Node at ``position`` of path ``number``."""
     if position == 0:
@@ -61,7 +61,7 @@ def node_at(problem, paths, number, position):
     return paths.node[paths.start[number] + position - 1]
 
 
-@kernel
+@part
 def first_position(problem, hops, before):
     """First position that may take the function after the one at ``before`` (-1: the chain's first function)."""
     if problem.colocation:
@@ -69,7 +69,7 @@ def first_position(problem, hops, before):
     return min(max(before, 0) + 1, hops)
 
 
-@kernel
+@part
 def measure_path(problem, placing, number, j):
     """Fill cost, delay and lacking links of path ``number``, the request's ``j``-th."""
     paths = placing.paths
@@ -84,7 +84,7 @@ def measure_path(problem, placing, number, j):
             placing.lacking[j] += 1
 
 
-@kernel
+@part
 def place_in_order(problem, placing, number, position, vm, heed_capacity):
     """Each function in order on the cheapest VM that fits, from the position of the one before it on.
 
@@ -122,7 +122,7 @@ def place_in_order(problem, placing, number, position, vm, heed_capacity):
     return True
 
 
-@kernel
+@part
 def judge(problem, placing, number, j, position, vm):
     """Cost ($) of a placement on the request's ``j``-th path, and by how much it breaks the constraints (0: feasible).
 
@@ -154,7 +154,7 @@ def judge(problem, placing, number, j, position, vm):
     return cost, violation
 
 
-@kernel
+@part
 def lay_walk(problem, placing, number, position, vm):
     """Write the placement as a walk to ``placing.walk``; returns its steps."""
     paths, walk = placing.paths, placing.walk
@@ -178,7 +178,7 @@ def lay_walk(problem, placing, number, position, vm):
     return steps
 
 
-@kernel
+@part
 def place_greedily(problem, tables, net, placing):
     """Place the chain in order on each of the k paths.
 

@@ -21,7 +21,7 @@ from nfv_torchrl.simulator.tables import Rules, Tables
 
 @kernel
 def fill_prices(tables, net, vm_offered, link_offered, price, steepness, vm_price, link_price):
-    """Prices of all VMs ($ per Mcycles/s, float64 [N, V]) and links ($ per Mbit/s, float64 [L]) from what they offer."""
+    """Prices of VMs ($ per Mcycles/s, float64 [N, V]) and links ($ per Mbit/s, float64 [L]) from what they offer."""
     scale = price / (steepness - 1.0)
     rise = np.log(steepness)
     for node in range(tables.num_nodes[net]):

@@ -14,7 +14,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.base import CompiledPlanner
-from nfv_torchrl.planners.compiled import kernel
+from nfv_torchrl.planners.compiled import kernel, part
 from nfv_torchrl.planners.greedy import encode_placement
 from nfv_torchrl.planners.placing import (
     Placing,
@@ -74,7 +74,7 @@ def plan_tabu(tables, rules, net, vm_offered, link_offered, service, ingress, eg
     return encode_placement(problem, placing, number, placing.position[kept], placing.vm[kept], plan)
 
 
-@kernel
+@part
 def _improve(problem, scratch, row, start, iterations):
     """Search from the greedy placement on path ``start`` (-1: the cheapest path, infeasible).
 
@@ -116,7 +116,7 @@ def _improve(problem, scratch, row, start, iterations):
     return best
 
 
-@kernel
+@part
 def _best_move(problem, scratch, row, path, least):
     """The move with the least penalised cost that is not tabu, or that beats ``least``.
 
@@ -162,7 +162,7 @@ def _best_move(problem, scratch, row, path, least):
     return move
 
 
-@kernel
+@part
 def _may_precede(problem, position, i, at, hops):
     """Whether function ``i`` may stand at ``at`` without moving the one after it."""
     if i + 1 == problem.functions:
@@ -170,7 +170,7 @@ def _may_precede(problem, position, i, at, hops):
     return first_position(problem, hops, at) <= position[i + 1]
 
 
-@kernel
+@part
 def _is_tabu(listed, function, resource, path):
     for slot in range(listed.shape[0]):
         if listed[slot, 0] == function and listed[slot, 1] == resource and listed[slot, 2] == path:
@@ -178,7 +178,7 @@ def _is_tabu(listed, function, resource, path):
     return False
 
 
-@kernel
+@part
 def _copy(placing, source, target, functions):
     for i in range(functions):
         placing.position[target, i] = placing.position[source, i]

@@ -1,0 +1,179 @@
+"""The exact planner against worked answers and against trying every walk."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from exhaustive import Case, cheapest_by_trying, checked_cost, planned_cost, tight_case
+from numba import njit
+from toy import (
+    DUO,
+    DUO_0_TO_3,
+    DUO_0_TO_3_COLOCATED,
+    DUO_0_TO_3_THIRD,
+    SOLO,
+    SOLO_3_TO_0,
+    toy_catalogue,
+    toy_substrate,
+)
+
+from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner, PricedPlanner, TabuPlanner, make_scratch, plan_cheapest
+from nfv_torchrl.planners.cheapest import grow_scratch
+from nfv_torchrl.simulator.tables import Rules, build_tables
+
+INSTANCES = 300
+
+
+def toy_case(service: int, ingress: int, egress: int, colocation: bool = False, max_steps: int = 100) -> Case:
+    tables = build_tables([toy_substrate()], toy_catalogue())
+    rules = Rules(colocation, False, False, max_steps)
+    return Case(tables, rules, tables.vm_capacity[0].copy(), tables.link_capacity[0].copy(), service, ingress, egress)
+
+
+def assert_plans(case: Case, expected: tuple[float, float, list[int]]) -> None:
+    cost, _, actions = expected
+    plan = np.zeros(case.rules.max_steps, np.int64)
+    steps = MyopicPlanner().plan(*case.request, plan)
+    assert plan[:steps].tolist() == actions
+    assert checked_cost(case, actions) == pytest.approx(cost, abs=1e-9)
+
+
+def test_worked_answers():
+    assert_plans(toy_case(DUO, 0, 3), DUO_0_TO_3)
+    assert_plans(toy_case(DUO, 0, 3, colocation=True), DUO_0_TO_3_COLOCATED)
+    assert_plans(toy_case(SOLO, 3, 0), SOLO_3_TO_0)
+
+
+def test_walk_bounces_between_two_nodes_when_that_is_cheapest():
+    case = toy_case(DUO, 0, 3)
+    case.vm_offered[1, 0] -= 20_000_000
+    case.vm_offered[2, 0] -= 40_000_000
+    assert_plans(case, DUO_0_TO_3_THIRD)
+
+
+def test_results_tell_cost_and_delay():
+    case = toy_case(DUO, 0, 3)
+    scratch = make_scratch(case.tables)
+    plan = np.zeros(100, np.int64)
+    tables = case.tables
+    doubled = (2 * tables.vm_unit_cost[0], 2 * tables.link_unit_cost[0])
+    steps = plan_cheapest(*case.request[:5], *doubled, *case.request[5:], scratch, plan)
+    assert steps == 3
+    assert scratch.result == pytest.approx([2 * DUO_0_TO_3[0], *DUO_0_TO_3[:2]], abs=1e-9)
+
+
+@pytest.mark.parametrize("colocation", [False, True])
+def test_agrees_with_trying_every_walk(colocation):
+    tight = dict.fromkeys(("infeasible", "delay", "own use", "steps", "capacity"), 0)
+    for seed in range(INSTANCES):
+        case = tight_case(seed, colocation)
+        expected = cheapest_by_trying(case)
+        planner = MyopicPlanner()
+        assert planned_cost(planner, case) == pytest.approx(expected, abs=1e-9), f"seed {seed}"
+        tight["infeasible"] += expected == math.inf
+        tight["own use"] += bool((planner._scratch.critical.tracked[0] > 0))
+        tight["delay"] += _changes(case, expected, tables=case.tables._replace(tolerable_delay=np.array([1e9])))
+        tight["steps"] += _changes(case, expected, rules=case.rules._replace(max_steps=100))
+        free = case._replace(vm_offered=case.tables.vm_capacity[0], link_offered=case.tables.link_capacity[0])
+        tight["capacity"] += _changes(free, expected)
+    # Agreement means little where nothing is scarce.
+    assert min(tight.values()) >= INSTANCES // 40, tight
+    assert tight["infeasible"] <= INSTANCES // 2, tight
+
+
+def _changes(case: Case, cost: float, **loosened) -> bool:
+    """Whether the request becomes cheaper, or feasible, when something is loosened."""
+    return planned_cost(MyopicPlanner(), case._replace(**loosened)) < cost - 1e-9
+
+
+@pytest.mark.parametrize("colocation", [False, True])
+def test_any_prices(colocation):
+    plan = np.zeros(100, np.int64)
+    for seed in range(INSTANCES // 2):
+        case = tight_case(seed, colocation)
+        rng = np.random.default_rng(seed)
+        vm_price = rng.uniform(0, 30, case.vm_offered.shape).round() * rng.integers(0, 2, case.vm_offered.shape)
+        link_price = rng.uniform(0, 30, case.link_offered.shape).round() * rng.integers(0, 2, case.link_offered.shape)
+        # Trying every walk takes its costs from the tables.
+        priced = case.tables._replace(vm_unit_cost=vm_price[None], link_unit_cost=link_price[None])
+        scratch = make_scratch(case.tables)
+        steps = plan_cheapest(*case.request[:5], vm_price, link_price, *case.request[5:], scratch, plan)
+        expected = cheapest_by_trying(case._replace(tables=priced))
+        assert scratch.result[0] == pytest.approx(expected, abs=1e-9), f"seed {seed}"
+        if steps:
+            actions = plan[:steps].tolist()
+            assert checked_cost(case._replace(tables=priced), actions) == pytest.approx(expected, abs=1e-9)
+            assert scratch.result[1] == pytest.approx(checked_cost(case, actions), abs=1e-9)
+        else:
+            assert (scratch.result == math.inf).all()
+
+
+@pytest.mark.parametrize("colocation", [False, True])
+def test_scratch_grows(colocation):
+    plan = np.zeros(100, np.int64)
+    overflows = 0
+    for seed in range(50):
+        case = tight_case(seed, colocation)
+        prices = (case.tables.vm_unit_cost[0], case.tables.link_unit_cost[0])
+        scratch = make_scratch(case.tables, pool=8, columns=1)
+        while (steps := plan_cheapest(*case.request[:5], *prices, *case.request[5:], scratch, plan)) == -1:
+            scratch = grow_scratch(case.tables, scratch)
+            overflows += 1
+        cost = checked_cost(case, plan[:steps].tolist()) if steps else math.inf
+        assert cost == pytest.approx(planned_cost(MyopicPlanner(), case), abs=1e-9)
+    assert overflows > 10
+
+
+@pytest.mark.parametrize("planner", [MyopicPlanner, PricedPlanner, GreedyPlanner, TabuPlanner])
+def test_batch_is_the_same_as_one_by_one(planner):
+    cases = [tight_case(seed, True) for seed in range(12)]
+    case = cases[0]
+    rng = np.random.default_rng(0)
+    rows = np.array([0, 2, 3, 5, 6, 7])
+    vm_offered = (case.vm_offered * rng.random((8, 1, 1))).astype(np.int64)
+    link_offered = rng.choice([0, 5_000_000, 8_000_000], (8, case.link_offered.size))
+    ingress = rng.integers(0, 3, 8)
+    egress = ingress + 1
+    nothing = np.zeros(8, np.int64)
+    plans, lengths = np.full((8, 8), -7), np.full(8, -7)
+    rules = case.rules._replace(max_steps=8)
+    batch, single = planner(), planner()
+    batch.prepare(case.tables, rules)
+    batch.plan_batch(
+        case.tables, rules, rows, nothing, vm_offered, link_offered, nothing, ingress, egress, plans, lengths
+    )
+    for b in range(8):
+        plan = np.full(8, -7)
+        steps = -7
+        if b in rows:
+            request = (vm_offered[b], link_offered[b], 0, int(ingress[b]), int(egress[b]))
+            steps = single.plan(case.tables, rules, 0, *request, plan)
+        assert lengths[b] == steps
+        assert plans[b].tolist() == plan.tolist()
+    assert 0 < np.sum(lengths > 0) < len(rows)
+
+
+@njit
+def _plan_often(request, vm_price, link_price, scratch, plan, times):
+    total = 0
+    for _ in range(times):
+        tables, rules, net, vm_offered, link_offered, service, ingress, egress = request
+        total += plan_cheapest(
+            tables, rules, net, vm_offered, link_offered, vm_price, link_price, service, ingress, egress, scratch, plan
+        )
+    return total
+
+
+def test_compiled_callers_keep_their_arrays():
+    """Kernels count no references; code compiled the usual way must be able to call them all the same."""
+    case = toy_case(DUO, 0, 3)
+    scratch, plan = make_scratch(case.tables), np.zeros(100, np.int64)
+    arguments = (case.request, case.tables.vm_unit_cost[0], case.tables.link_unit_cost[0], scratch, plan)
+    assert _plan_often(*arguments, 2) == 6
+    watched = [*scratch.labels, *scratch.cost, *case.tables, case.vm_offered, plan]
+    before = [sys.getrefcount(array) for array in watched]
+    assert _plan_often(*arguments, 500) == 1500
+    assert [sys.getrefcount(array) for array in watched] == before
