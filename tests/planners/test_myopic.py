@@ -74,7 +74,7 @@ def test_agrees_with_trying_every_walk(colocation):
         planner = MyopicPlanner()
         assert planned_cost(planner, case) == pytest.approx(expected, abs=1e-9), f"seed {seed}"
         tight["infeasible"] += expected == math.inf
-        tight["own use"] += bool((planner._scratch.critical.tracked[0] > 0))
+        tight["own use"] += bool(planner._scratch.critical.tracked[0] > 0)
         tight["delay"] += _changes(case, expected, tables=case.tables._replace(tolerable_delay=np.array([1e9])))
         tight["steps"] += _changes(case, expected, rules=case.rules._replace(max_steps=100))
         free = case._replace(vm_offered=case.tables.vm_capacity[0], link_offered=case.tables.link_capacity[0])
