@@ -1,0 +1,141 @@
+"""Train a stochastic policy by policy gradient (REINFORCE, A2C, PPO), explicitly, top to bottom.
+
+    python recipes/policy_gradient.py                    # PPO, scenario=paper
+    python recipes/policy_gradient.py pg_loss=reinforce scenario=heavy scenario.admission_control=true
+    python recipes/policy_gradient.py run_dir=runs/policy_gradient resume=true
+
+The policy explores by sampling from its own masked distribution; evaluations take its most probable action.
+Copy, paste and change it: every part below can be replaced without touching the others.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import hydra
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
+from torchrl.checkpoint import GlobalRNGState
+from torchrl.collectors import Collector
+from tqdm import tqdm
+
+from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.networks import Sizes
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.policies import q_network
+from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
+from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
+from nfv_torchrl.training.window import TrainingWindow
+
+
+@hydra.main(config_path="config", config_name="policy_gradient", version_base=None)
+@clear_errors
+def main(cfg: DictConfig) -> None:
+    device = choose_device(cfg.device)
+    set_threads(cfg.threads)
+    seed_everything(cfg.seed)
+    config = OmegaConf.to_container(cfg, resolve=True)
+    scenario = Scenario.from_config(config["scenario"])
+    folder = RunFolder(Path(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
+
+    # Loss first: it makes the networks, whose observations the environment has to emit.
+    sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
+    loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+    env = NFVEnv(
+        scenario,
+        cfg.collector.num_envs,
+        reward=instantiate(cfg.reward),
+        one_hot=cfg.one_hot,
+        observations=q_network(loss).observations(),
+        stagger=cfg.stagger,
+        seed=cfg.seed,
+        threads=cfg.env_threads,
+    )
+    optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
+
+    def update(rows: TensorDictBase) -> TensorDictBase:
+        """One gradient step; returns what the loss says, and the gradient norm, without waiting for them."""
+        values = loss(rows)
+        total = sum(value for key, value in values.items() if key.startswith("loss"))
+        optimizer.zero_grad()
+        total.backward()
+        limit = cfg.learner.max_grad_norm or float("inf")
+        norm = torch.nn.utils.clip_grad_norm_(loss.parameters(), limit)
+        optimizer.step()
+        return values.detach().set("gradient_norm", norm.detach())
+
+    progress = Progress()
+    window = TrainingWindow(tuple(kind.name for kind in scenario.catalogue.types), scenario.warmup)
+    state = {
+        "loss": loss,
+        "optimizer": optimizer,
+        "env": env,
+        "window": window,
+        "progress": progress,
+        "rng": GlobalRNGState(),
+    }
+    # A new environment's first reset starts its horizons, a loaded one's goes on where it was.
+    folder.load(state)
+    collector = Collector(
+        env,
+        loss.actor,
+        frames_per_batch=cfg.collector.num_envs * cfg.collector.steps,
+        total_frames=-1,
+        policy_device=device,
+        env_device="cpu",
+        storing_device="cpu",
+    )
+    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
+    bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)
+    batches = iter(collector)
+
+    with StopRequest() as stop:
+        while progress.frames < cfg.collector.total_frames and not stop.asked:
+            data = next(batches)
+            progress.iteration += 1
+            progress.frames += data.numel()
+            window.add(data)
+
+            # On-policy: what was collected is learned from now and then forgotten.
+            started = time.perf_counter()
+            rows = loss.prepare(data.to(device))
+            for _ in range(cfg.learner.epochs):
+                for picked in torch.randperm(len(rows), device=device).split(cfg.learner.minibatch):
+                    learning = update(rows[picked])
+                    progress.updates += 1
+            progress.learning_seconds += time.perf_counter() - started
+
+            if progress.iteration % cfg.logger.interval == 0:
+                metrics = window.metrics()
+                metrics |= progress.speeds()
+                metrics |= {f"train/{key}": float(value) for key, value in learning.items()}
+                metrics["train/reward"] = float(data["next", "reward"].mean())
+                logger.scalars(metrics, progress.frames)
+                bar.set_postfix_str(
+                    f"AAR {metrics.get('train/aar', 0):.3f}  cost {metrics.get('train/cost_per_accepted', 0):.0f} $"
+                )
+                window.reset()
+            if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
+                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+            if progress.iteration % cfg.checkpoint.interval == 0:
+                folder.save(state, progress.frames)
+            bar.update(progress.frames - bar.n)
+
+    bar.close()
+    if cfg.eval.interval and not stop.asked:
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+    folder.save(state, progress.frames)
+    logger.close()
+    collector.shutdown()
+    folder.print_ending(interrupted=stop.asked)
+
+
+if __name__ == "__main__":
+    main()
