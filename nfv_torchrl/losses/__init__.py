@@ -1,6 +1,21 @@
 """How it learns: one file a loss. A recipe's yaml names the class by ``_target_``; there is no registry."""
 
-from nfv_torchrl.losses.base import RequestLoss, greedy_actor
+from nfv_torchrl.losses.base import MaskedLoss, RequestLoss, greedy_actor
+from nfv_torchrl.losses.cql import CQL
+from nfv_torchrl.losses.discrete_sac import DiscreteSAC
 from nfv_torchrl.losses.dqn import DQN
+from nfv_torchrl.losses.imitation import Imitation
+from nfv_torchrl.losses.n_step import NStepDQN
+from nfv_torchrl.losses.quantile import QuantileDQN
 
-__all__ = ["DQN", "RequestLoss", "greedy_actor"]
+__all__ = [
+    "CQL",
+    "DQN",
+    "DiscreteSAC",
+    "Imitation",
+    "MaskedLoss",
+    "NStepDQN",
+    "QuantileDQN",
+    "RequestLoss",
+    "greedy_actor",
+]

@@ -1,13 +1,17 @@
-"""What a recipe expects of a loss."""
+"""What a recipe expects of a loss, and what the losses written here share."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
 
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
 from torchrl.data import Categorical
 from torchrl.modules import QValueActor
+from torchrl.objectives import LossModule
 
 from nfv_torchrl.networks import QNetwork
 
@@ -19,7 +23,7 @@ class RequestLoss(Protocol):
     """
 
     actor: TensorDictModule
-    """The greedy policy being learned: reads the network's keys and ``action_mask``, writes ``action``."""
+    """The policy being learned: reads the network's keys and ``action_mask``, writes ``action``."""
 
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Turn a collected batch [B, T] into what the replay buffer stores, one row an item."""
@@ -30,13 +34,81 @@ class RequestLoss(Protocol):
         ...
 
 
-def greedy_actor(network: QNetwork, actions: int) -> QValueActor:
+def greedy_actor(network: nn.Module, actions: int, in_keys: Sequence[NestedKey] | None = None) -> QValueActor:
     """The greedy policy of a Q-network over the valid actions, ``actions`` with reject.
 
     The mask goes into the actor, hence also into the target's maximum; the action spec is categorical, because one-hot
-    actions turn into NaN where nothing is valid and pick several where values tie.
+    actions turn into NaN where nothing is valid and pick several where values tie. ``in_keys``: those of the network
+    unless given.
     """
-    module = TensorDictModule(network, in_keys=list(network.in_keys), out_keys=["action_value"])
-    return QValueActor(
-        module, spec=Categorical(actions), action_space="categorical", action_mask_key="action_mask"
-    )
+    keys = list(network.in_keys if in_keys is None else in_keys)  # type: ignore[arg-type]
+    module = TensorDictModule(network, in_keys=keys, out_keys=["action_value"])
+    return QValueActor(module, spec=Categorical(actions), action_space="categorical", action_mask_key="action_mask")
+
+
+class MaskedLoss(LossModule):
+    """What the losses written here share: keys, the transitions they store, and networks called by their parameters.
+
+    A subclass calls ``convert_to_functional(network, "value_network", create_target_params=True)`` for each network,
+    with the three names (``value_network``, ``value_network_params``, ``target_value_network_params``) among its
+    annotations; a target updater of TorchRL then finds them.
+
+    Keys, all of which ``set_keys`` can change: ``action`` int64 [], ``action_mask`` bool [A], and under ``next``
+    ``reward`` float32 [1] and ``done`` bool [1], which is ``stop_at`` here: where looking ahead ends.
+
+    Args:
+        network: a network whose ``in_keys`` the loss reads, now and under ``next``.
+        stop_at: ``request_done``, or ``done`` to look across requests.
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        action: NestedKey = "action"
+        action_mask: NestedKey = "action_mask"
+        reward: NestedKey = "reward"
+        done: NestedKey = "request_done"
+
+    tensor_keys: _AcceptedKeys
+    default_keys = _AcceptedKeys
+
+    def __init__(self, network: QNetwork, *, stop_at: str = "request_done") -> None:
+        super().__init__()
+        self.network_keys = tuple(network.in_keys)
+        self.set_keys(done=stop_at)
+
+    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
+        """There is no value estimator."""
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """What ``forward`` reads."""
+        keys = self.tensor_keys
+        seen = dict.fromkeys((*self.network_keys, keys.action_mask))
+        after = [("next", *(key if isinstance(key, tuple) else (key,))) for key in (*seen, keys.reward, keys.done)]
+        return [*seen, keys.action, *after]
+
+    def prepare(self, data: TensorDictBase) -> TensorDictBase:
+        """Single transitions: only the keys that the loss reads, [B, T] flattened."""
+        return data.select(*self.in_keys).reshape(-1)
+
+    def outputs(self, name: str, tensordict: TensorDictBase, *, target: bool = False) -> Tensor:
+        """What network ``name`` returns for the state in ``tensordict``, [batch, A] or [batch, A, outputs]."""
+        params = getattr(self, f"target_{name}_params" if target else f"{name}_params")
+        network = getattr(self, name)
+        inputs = [tensordict.get(key) for key in self.network_keys]
+        with params.to_module(network):
+            return network(*inputs)
+
+    def mask(self, tensordict: TensorDictBase) -> Tensor:
+        """A_p of the state in ``tensordict``, bool [batch, A]."""
+        return tensordict.get(self.tensor_keys.action_mask)
+
+    def action(self, tensordict: TensorDictBase) -> Tensor:
+        """The action taken, int64 [batch, 1]."""
+        return tensordict.get(self.tensor_keys.action).unsqueeze(-1)
+
+    def returns(self, tensordict: TensorDictBase, next_value: Tensor, gamma: float) -> Tensor:
+        """r + gamma (1 - done) next_value; ``next_value`` is [batch, 1] or, of a distribution, [batch, M]."""
+        after = tensordict.get("next")
+        going_on = ~after.get(self.tensor_keys.done)
+        return after.get(self.tensor_keys.reward) + gamma * going_on * next_value

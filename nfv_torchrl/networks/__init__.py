@@ -2,6 +2,16 @@
 
 from nfv_torchrl.networks.base import NetworkFactory, QNetwork, Sizes
 from nfv_torchrl.networks.candidate import CandidateNetwork
+from nfv_torchrl.networks.dueling import DuelingNetwork
+from nfv_torchrl.networks.layers import NoisyLinear
 from nfv_torchrl.networks.mlp import MLPNetwork
 
-__all__ = ["CandidateNetwork", "MLPNetwork", "NetworkFactory", "QNetwork", "Sizes"]
+__all__ = [
+    "CandidateNetwork",
+    "DuelingNetwork",
+    "MLPNetwork",
+    "NetworkFactory",
+    "NoisyLinear",
+    "QNetwork",
+    "Sizes",
+]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from nfv_torchrl.networks.base import QNetwork, Sizes
-from nfv_torchrl.networks.mlp import flat_layers
+from nfv_torchrl.networks.layers import perceptron
 from nfv_torchrl.observations import CandidateObservation, ObservationPart
 
 
@@ -23,17 +23,25 @@ class CandidateNetwork(QNetwork):
         outputs: outputs per action.
         hidden: neurons of each hidden layer.
         activation: name of a ``torch.nn`` activation.
+        noisy: learned noise on the weights instead of epsilon-greedy exploration, see ``NoisyLinear``; the rows of one
+            state share it.
     """
 
     in_keys = (("candidates", "features"), ("candidates", "action"), ("candidates", "mask"), "action_mask")
     any_size = True
 
     def __init__(
-        self, sizes: Sizes, outputs: int = 1, *, hidden: Sequence[int] = (64, 64), activation: str = "ReLU"
+        self,
+        sizes: Sizes,
+        outputs: int = 1,
+        *,
+        hidden: Sequence[int] = (64, 64),
+        activation: str = "ReLU",
+        noisy: bool = False,
     ) -> None:
         super().__init__()
         self.outputs = outputs
-        self.layers = flat_layers(sizes.candidate_features, outputs, hidden, activation)
+        self.layers = perceptron(sizes.candidate_features, outputs, hidden, activation, noisy=noisy)
 
     def observations(self) -> list[ObservationPart]:
         """See ``QNetwork``."""

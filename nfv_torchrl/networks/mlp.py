@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torch import Tensor, nn
-from torchrl.modules import MLP
+from torch import Tensor
 
 from nfv_torchrl.networks.base import QNetwork, Sizes, split_outputs
+from nfv_torchrl.networks.layers import perceptron
 
 
 class MLPNetwork(QNetwork):
@@ -19,24 +19,24 @@ class MLPNetwork(QNetwork):
         outputs: outputs per action.
         hidden: neurons of each hidden layer.
         activation: name of a ``torch.nn`` activation.
+        noisy: learned noise on the weights instead of epsilon-greedy exploration, see ``NoisyLinear``.
     """
 
     in_keys = ("observation",)
 
     def __init__(
-        self, sizes: Sizes, outputs: int = 1, *, hidden: Sequence[int] = (256, 256), activation: str = "ReLU"
+        self,
+        sizes: Sizes,
+        outputs: int = 1,
+        *,
+        hidden: Sequence[int] = (256, 256),
+        activation: str = "ReLU",
+        noisy: bool = False,
     ) -> None:
         super().__init__()
         self.outputs = outputs
-        self.layers = flat_layers(sizes.observation, sizes.actions * outputs, hidden, activation)
+        self.layers = perceptron(sizes.observation, sizes.actions * outputs, hidden, activation, noisy=noisy)
 
     def forward(self, observation: Tensor) -> Tensor:
         """Values of all actions."""
         return split_outputs(self.layers(observation), self.outputs)
-
-
-def flat_layers(inputs: int, outputs: int, hidden: Sequence[int], activation: str) -> MLP:
-    """A perceptron with the activations named as in ``torch.nn``."""
-    return MLP(
-        in_features=inputs, out_features=outputs, num_cells=list(hidden), activation_class=getattr(nn, activation)
-    )

@@ -16,3 +16,8 @@ def multiplicative(
 def linear(frames: int, *, start: float = 1.0, end: float = 0.05, over: int = 200_000) -> float:
     """Epsilon on a straight line from ``start`` to ``end`` over the first ``over`` frames."""
     return end + (start - end) * max(0.0, 1.0 - frames / over)
+
+
+def none(frames: int) -> float:
+    """Epsilon 0 at all times: for policies that explore by themselves (noisy networks, stochastic policies)."""
+    return 0.0

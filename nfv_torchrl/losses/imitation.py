@@ -1,0 +1,57 @@
+"""Behaviour cloning: to do what was recorded."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictParams
+from torch import nn
+from torchrl.modules import QValueActor
+
+from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
+from nfv_torchrl.losses.masked import masked_argmax, masked_log_softmax
+from nfv_torchrl.networks import NetworkFactory, Sizes
+
+
+class Imitation(MaskedLoss):
+    r"""Cross-entropy of the recorded actions under a softmax over valid actions.
+
+    .. math:: - \log \frac{e^{f(s, a)}}{\sum_{b \in A_p(s)} e^{f(s, b)}}
+
+    with f the network's output (Pomerleau, "ALVINN", NeurIPS 1988; Bojarski et al., 2016). It needs no reward and looks
+    at no next state. The weights are preferences and no values: they start a policy-gradient loss well, and Q-learning
+    only after its values have been learned anew.
+
+    Args:
+        network: factory of the network.
+        sizes: sizes of observation and actions.
+
+    Keys read: the network's ``in_keys``, ``action_mask`` bool [A] and ``action`` int64 []. Writes ``loss`` []. Logs
+    ``agreement`` []: the share of recorded actions that the greedy policy would take, too.
+    """
+
+    actor: QValueActor
+    actor_network: nn.Module
+    actor_network_params: TensorDictParams
+    target_actor_network_params: TensorDictParams
+    out_keys = ["loss", "agreement"]  # noqa: RUF012  as TorchRL's losses have it
+
+    def __init__(self, network: NetworkFactory, sizes: Sizes) -> None:
+        preferences = network(sizes)
+        super().__init__(preferences)
+        actor = greedy_actor(preferences, sizes.actions)
+        self.convert_to_functional(preferences, "actor_network")
+        self.__dict__["actor"] = actor
+
+    @property
+    def in_keys(self) -> list:
+        """What ``forward`` reads."""
+        return [key for key in super().in_keys if not (isinstance(key, tuple) and key[0] == "next")]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDict:
+        """The loss of a batch of recorded decisions."""
+        logits, mask, action = self.outputs("actor_network", tensordict), self.mask(tensordict), self.action(tensordict)
+        loss = -masked_log_softmax(logits, mask).gather(-1, action).mean()
+        with torch.no_grad():
+            agreement = (masked_argmax(logits, mask) == action).float().mean()
+        return TensorDict({"loss": loss, "agreement": agreement})

@@ -1,0 +1,89 @@
+"""Q-learning from returns over several steps."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from nfv_torchrl.losses.dqn import DQN
+from nfv_torchrl.networks import NetworkFactory, Sizes
+
+
+class NStepDQN(DQN):
+    r"""The error of deep Q-learning with n rewards before the look ahead.
+
+    .. math:: \Big(\sum_{i=0}^{k-1} \gamma^i r_{t+i}
+        + \gamma^k (1 - d_{t+k}) \max_{a' \in A_p(s_{t+k})} \bar Q(s_{t+k}, a') - Q(s_t, a_t)\Big)^2
+
+    (Watkins, "Learning from Delayed Rewards", 1989; as used by Hessel et al., "Rainbow", AAAI 2018, eq. 1). k is n, or
+    fewer where the request, the horizon or the collected batch ends sooner: rewards of another request are never
+    summed, and the discount of the bootstrap is that of the steps really summed. What was explored within the n steps
+    is not corrected for.
+
+    Args:
+        network: factory of the Q-network.
+        sizes: sizes of observation and actions.
+        n: most rewards to sum.
+        gamma: discount per step.
+        double: choose the next action by the online network.
+        loss_function: ``l2``, ``smooth_l1`` or ``l1``.
+        stop_at: key that ends the look ahead: ``request_done``, or ``done`` to look across requests.
+
+    Keys read: those of ``DQN``, whose ``next`` is k steps on and whose ``reward`` is the sum, and
+    ``steps_to_next_obs`` int64 [1], k. ``prepare`` makes them from a batch [B, T], time in dimension 1. Writes
+    ``loss`` []. Logs nothing else.
+    """
+
+    def __init__(
+        self,
+        network: NetworkFactory,
+        sizes: Sizes,
+        *,
+        n: int = 3,
+        gamma: float = 1.0,
+        double: bool = False,
+        loss_function: str = "l2",
+        stop_at: str = "request_done",
+    ) -> None:
+        super().__init__(network, sizes, gamma=gamma, double=double, loss_function=loss_function, stop_at=stop_at)
+        if n < 1:
+            raise ValueError(f"loss.n is {n}; at least one reward is summed")
+        self.n, self.gamma, self.stop_at = n, gamma, stop_at
+
+    def prepare(self, data: TensorDictBase) -> TensorDictBase:
+        """Transitions of up to n steps, [B, T] flattened."""
+        after = data.get("next")
+        stop = after.get(self.stop_at) | after.get("done")
+        total, steps = n_step_returns(after.get("reward").squeeze(-1), stop.squeeze(-1), self.n, self.gamma)
+        rows = torch.arange(data.shape[0], device=steps.device).unsqueeze(-1)
+        last = torch.arange(data.shape[1], device=steps.device) + steps - 1
+        out = data.select(*self.in_keys)
+        out.set("next", out.get("next")[rows, last])
+        out.set(("next", "reward"), total.unsqueeze(-1))
+        out.set("steps_to_next_obs", steps.unsqueeze(-1))
+        return out.reshape(-1)
+
+
+def n_step_returns(reward: Tensor, stop: Tensor, n: int, gamma: float) -> tuple[Tensor, Tensor]:
+    """Discounted sums of up to ``n`` rewards from each step on, and how many were summed.
+
+    Args:
+        reward: float32 [B, T].
+        stop: bool [B, T]; nothing after such a step belongs to the same sum.
+        n: most rewards to sum.
+        gamma: discount per step.
+
+    Returns:
+        float32 [B, T] and int64 [B, T].
+    """
+    total, steps = reward.clone(), torch.ones_like(stop, dtype=torch.int64)
+    going = ~stop  # whether the sum that begins here is still open
+    for i in range(1, min(n, reward.shape[1])):
+        # The last i steps have no i-th successor: their sums end with the batch.
+        begin = slice(0, reward.shape[1] - i)
+        still = going[:, begin]
+        total[:, begin] += gamma**i * reward[:, i:] * still
+        steps[:, begin] += still
+        going[:, begin] = still & ~stop[:, i:]
+    return total, steps
