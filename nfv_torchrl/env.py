@@ -124,8 +124,7 @@ class NFVEnv(EnvBase):
         if not self._continue:
             self._start(self._rows_to_reset(tensordict))
         self._continue = False
-        outcome = torch.zeros(*self.batch_size, len(OUTCOME), dtype=torch.float64)
-        outcome[:, REASON] = -1
+        outcome = torch.from_numpy(self.simulator.world.outcome)
         # An horizon without any request is over before its first step; a root that is done would be reset for ever, so
         # that is said with the first step instead. Rows that are not reset keep what TorchRL has for them.
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
@@ -188,4 +187,5 @@ class NFVEnv(EnvBase):
             self.simulator.load_arrivals(b, *self._arrivals(b, max(int(episode[b]), 0)))
         world = {name: tensor.numpy() for name, tensor in state_dict["world"].items()}
         self.simulator.world = restore_snapshot(self.simulator.world, world)
-        self._continue = True
+        # A state from before the first reset has no horizon to go on with.
+        self._continue = bool((episode >= 0).all())

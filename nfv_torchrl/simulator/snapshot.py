@@ -19,6 +19,7 @@ def take_snapshot(world: World) -> dict[str, np.ndarray]:
             copies[f"{group}.{name}"] = array.copy()
     for name in _SEEN:
         copies[f"seen.{name}"] = getattr(world.seen, name).copy()
+    copies["outcome"] = world.outcome.copy()
     return copies
 
 
@@ -29,6 +30,7 @@ def restore_snapshot(world: World, copies: dict[str, np.ndarray]) -> World:
         CheckpointError: the snapshot is of another batch size, network size or version.
     """
     names = ["env", *(f"{g}.{n}" for g in _GROUPS for n in getattr(world, g)._fields), *(f"seen.{n}" for n in _SEEN)]
+    names.append("outcome")
     missing = [name for name in names if name not in copies]
     if missing:
         raise CheckpointError(f"the environment's snapshot lacks {missing[0]}; it was written by another version")
@@ -39,6 +41,7 @@ def restore_snapshot(world: World, copies: dict[str, np.ndarray]) -> World:
         group, field = name.split(".")
         if copies[name].shape != getattr(getattr(world, group), field).shape:
             raise CheckpointError(f"the snapshot's {name} has shape {copies[name].shape}: another scenario")
+    _check_books(world, copies)
     world.env[:] = np.ascontiguousarray(env).view(ENV_DTYPE).reshape(-1)
     fresh = {
         group: getattr(world, group)._replace(
@@ -48,4 +51,13 @@ def restore_snapshot(world: World, copies: dict[str, np.ndarray]) -> World:
     }
     mask, valid, flat = (copies[f"seen.{name}"].copy() for name in _SEEN)
     seen = world.seen._replace(mask=mask, valid=valid, flat=flat)
+    world.outcome[:] = copies["outcome"]
     return world._replace(seen=seen, **fresh)
+
+
+def _check_books(world: World, copies: dict[str, np.ndarray]) -> None:
+    """A network of the same size is not yet the same network: reserved and offered must make up its capacities."""
+    for kind, capacity in (("vm", world.tables.vm_capacity), ("link", world.tables.link_capacity)):
+        reserved, offered, failed = (copies[f"ledger.{kind}_{name}"] for name in ("reserved", "offered", "failed"))
+        if np.any((reserved + offered != capacity[world.env["net"]]) & ~failed):
+            raise CheckpointError(f"the snapshot's {kind} capacities are not this network's: another scenario")
