@@ -10,12 +10,12 @@ Copy, paste and change it: every part below can be replaced without touching the
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import hydra
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
@@ -29,9 +29,10 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import clear_errors
 from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
-from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 
@@ -43,7 +44,7 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
-    folder = RunFolder(Path(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
+    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
 
     # Loss first: it makes the network, whose observations the environment has to emit.
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
@@ -71,8 +72,8 @@ def main(cfg: DictConfig) -> None:
     updater = instantiate(cfg.target)(loss)
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 
-    def update() -> torch.Tensor:
-        """One gradient step; returns the loss and the gradient norm without waiting for them."""
+    def update() -> TensorDictBase:
+        """One gradient step; returns what the loss says, and the gradient norm, without waiting for them."""
         values = loss(buffer.sample())
         total = sum(value for key, value in values.items() if key.startswith("loss"))
         optimizer.zero_grad()
@@ -81,7 +82,7 @@ def main(cfg: DictConfig) -> None:
         norm = torch.nn.utils.clip_grad_norm_(loss.parameters(), limit)
         optimizer.step()
         updater.step()
-        return torch.stack((total.detach(), norm.detach()))
+        return values.detach().update({"loss": total.detach(), "gradient_norm": norm.detach()})
 
     if cfg.learner.compile:
         update = torch.compile(update)
@@ -92,13 +93,13 @@ def main(cfg: DictConfig) -> None:
         "loss": loss,
         "optimizer": optimizer,
         "updater": updater,
-        "buffer": buffer,
+        "buffer": MemoryState(buffer),
         "env": env,
         "window": window,
         "progress": progress,
         "rng": GlobalRNGState(),
     }
-    # A new environment's first reset starts its horizons, a loaded one's goes on where it was.
+    # Before the collector, whose first reset starts the horizons of a new environment and goes on in a loaded one.
     folder.load(state)
     collector = Collector(
         env,
@@ -113,7 +114,8 @@ def main(cfg: DictConfig) -> None:
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
     bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)
     batches = iter(collector)
-    learning = torch.zeros(2, device=device)
+    folder.load_random_numbers(state)  # making the parts above drew some
+    learning = TensorDict()  # what the last update said
 
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:
@@ -136,11 +138,11 @@ def main(cfg: DictConfig) -> None:
                 metrics |= progress.speeds()
                 metrics |= {
                     "train/epsilon": float(explore.eps),
-                    "train/loss": float(learning[0]),
-                    "train/gradient_norm": float(learning[1]),
-                    "train/chosen_q": float(data["chosen_action_value"].mean()),
                     "train/reward": float(data["next", "reward"].mean()),
                 }
+                metrics |= {f"train/{key}": float(value) for key, value in learning.items()}
+                if "chosen_action_value" in data.keys():  # a stochastic policy has none
+                    metrics["train/chosen_q"] = float(data["chosen_action_value"].mean())
                 logger.scalars(metrics, progress.frames)
                 bar.set_postfix_str(
                     f"AAR {metrics.get('train/aar', 0):.3f}  cost {metrics.get('train/cost_per_accepted', 0):.0f} $"

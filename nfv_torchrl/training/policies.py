@@ -39,6 +39,8 @@ def policy_content(
         "loss": dict(config["loss"]),
         "one_hot": bool(config["one_hot"]),
         "scenario": scenario.name,
+        "mask": scenario.mask,
+        "admission_control": scenario.admission_control,
         "scores": dict(scores),
     }
 
@@ -56,6 +58,8 @@ def load_policy(
     trusted_packages: Sequence[str] = (),
 ) -> PolicyMethod:
     """The greedy policy of a file (``best.pt`` or a full checkpoint of a run) for ``scenario``.
+
+    It acts under the mask that it was trained with, and may always reject if it could in training.
 
     Args:
         path: the file.
@@ -86,7 +90,15 @@ def load_policy(
             "(and scenario.seed sizes) it was trained on, or train with network=candidate, which fits any size"
         )
     loss.load_state_dict(content["weights"])
-    return PolicyMethod(loss.actor, module.observations(), one_hot=content["one_hot"], name=name)
+    loss.actor.eval()
+    return PolicyMethod(
+        loss.actor,
+        module.observations(),
+        one_hot=content["one_hot"],
+        name=name,
+        mask=content["mask"],
+        decides_admission=content["admission_control"],
+    )
 
 
 def q_network(loss: Any) -> QNetwork:

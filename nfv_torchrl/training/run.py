@@ -113,7 +113,13 @@ class RunFolder:
             )
         for name, part in state.items():
             part.load_state_dict(content[name])
+        self._random_numbers = content["rng"]
         print(f"Resumed from {path}.")
+
+    def load_random_numbers(self, state: Mapping[str, Any]) -> None:
+        """When resuming, set the random numbers of ``state["rng"]`` once more, as the last step before the loop."""
+        if self.resume:
+            state["rng"].load_state_dict(self._random_numbers)
 
     def print_ending(self, *, interrupted: bool) -> None:
         """Say where things are and how to go on."""
@@ -140,9 +146,11 @@ def evaluate_policy(
     """
     actor = loss.actor
     device = next(actor.parameters()).device
+    actor.eval()  # noisy networks act by their mean weights
     method = PolicyMethod(actor.to("cpu"), q_network(loss).observations(), one_hot=config["one_hot"])
     records = run_method(scenario, method, list(config["eval"]["seeds"]))
     actor.to(device)
+    actor.train()
     runs = [compute_metrics(record) for record in records]
     scores = {key: sum(run[key] for run in runs) / len(runs) for key in runs[0]}
     logger.scalars({f"eval/{key}": value for key, value in scores.items() if value == value}, progress.frames)

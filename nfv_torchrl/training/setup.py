@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import random
 import signal
+import zlib
 from pathlib import Path
 from types import FrameType
 
 import numpy as np
 import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 
 from nfv_torchrl.errors import ScenarioError
 
@@ -41,6 +44,24 @@ def set_threads(threads: int) -> None:
     if threads < 1:
         raise ScenarioError(f"threads is {threads}; at least one is needed")
     torch.set_num_threads(threads)
+
+
+LONGEST_NAME = 120
+
+
+def run_folder(run_dir: str | os.PathLike[str]) -> Path:
+    """The folder of this run: ``run_dir``, or in a sweep a folder of the job's own below it.
+
+    A job is named after its overrides, ``runs/sweep/loss=dqn,seed=1``, so that the same command with ``resume=true``
+    finds it again; where that is too long for a file name, the end is replaced by a number that stands for it.
+    """
+    if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
+        return Path(run_dir)
+    given = [text for text in HydraConfig.get().overrides.task if not text.startswith(("run_dir=", "resume="))]
+    name = ",".join(sorted(given)).replace("/", "_") or "job"
+    if len(name) > LONGEST_NAME:
+        name = f"{name[: LONGEST_NAME - 9]}_{zlib.crc32(name.encode()):08x}"
+    return Path(run_dir) / name
 
 
 def set_aside(folder: Path) -> Path | None:
