@@ -141,7 +141,7 @@ def main(cfg: DictConfig) -> None:
                     "train/reward": float(data["next", "reward"].mean()),
                 }
                 metrics |= {f"train/{key}": float(value) for key, value in learning.items()}
-                if "chosen_action_value" in data.keys():  # a stochastic policy has none
+                if "chosen_action_value" in data:  # a stochastic policy has none
                     metrics["train/chosen_q"] = float(data["chosen_action_value"].mean())
                 logger.scalars(metrics, progress.frames)
                 bar.set_postfix_str(

@@ -49,16 +49,16 @@ def set_threads(threads: int) -> None:
 LONGEST_NAME = 120
 
 
-def run_folder(run_dir: str | os.PathLike[str]) -> Path:
+def run_folder(run_dir: str | Path) -> Path:
     """The folder of this run: ``run_dir``, or in a sweep a folder of the job's own below it.
 
-    A job is named after its overrides, ``runs/sweep/loss=dqn,seed=1``, so that the same command with ``resume=true``
-    finds it again; where that is too long for a file name, the end is replaced by a number that stands for it.
+    A job is named after its overrides in their order, ``runs/sweep/loss=dqn,seed=1``, so that the same command with
+    ``resume=true`` finds it again; where that gets too long, the end is replaced by a number that stands for it.
     """
     if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
         return Path(run_dir)
     given = [text for text in HydraConfig.get().overrides.task if not text.startswith(("run_dir=", "resume="))]
-    name = ",".join(sorted(given)).replace("/", "_") or "job"
+    name = ",".join(given).replace("/", "_") or "job"
     if len(name) > LONGEST_NAME:
         name = f"{name[: LONGEST_NAME - 9]}_{zlib.crc32(name.encode()):08x}"
     return Path(run_dir) / name
