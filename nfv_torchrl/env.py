@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from nfv_torchrl import rewards
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.observations import ObservationPart, RequestObservation, read_observation
+from nfv_torchrl.observations import MemoryObservation, ObservationPart, RequestObservation, read_observation
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.simulator import OUTCOME, Simulator
@@ -105,12 +105,25 @@ class NFVEnv(EnvBase):
             "statistics": outcome.to(torch.float32),
         }
 
+    def _act(self, actions: np.ndarray) -> None:
+        """Carry out ``actions`` int64 [B]."""
+        self.simulator.step(actions)
+
+    def _observe(self) -> TensorDictBase:
+        """What a controller sees now, in tensors of its own."""
+        return read_observation(self.simulator, self.parts)
+
+    def _memories(self) -> list[MemoryObservation]:
+        return [part for part in self.parts if isinstance(part, MemoryObservation)]
+
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self.simulator.step(tensordict.get("action").numpy())
+        self._act(tensordict.get("action").numpy())
         outcome = torch.from_numpy(self.simulator.world.outcome)
         reward = self.reward(self.simulator.outcome, self.cost_scale)
         done = outcome[:, DONE, None] > 0
-        return read_observation(self.simulator, self.parts).update(
+        for memory in self._memories():
+            memory.keep(tensordict, done)
+        return self._observe().update(
             {
                 **self._outcome_keys(outcome),
                 "reward": torch.from_numpy(np.asarray(reward, np.float32)).unsqueeze(-1),
@@ -129,7 +142,7 @@ class NFVEnv(EnvBase):
         # that is said with the first step instead. Rows that are not reset keep what TorchRL has for them.
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
         keys = {**self._outcome_keys(outcome), "done": done, "terminated": done.clone()}
-        return read_observation(self.simulator, self.parts).update(keys)
+        return self._observe().update(keys)
 
     def _rows_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:
         partial = None if tensordict is None else tensordict.get("_reset", None)
@@ -147,6 +160,8 @@ class NFVEnv(EnvBase):
             if self.stagger and episode == 0:
                 start_slot = int(generator(self._seed, Stream.START, b).integers(scenario.horizon))
             self.simulator.start(b, *self._arrivals(b, episode), start_slot=start_slot)
+        for memory in self._memories():
+            memory.forget(rows, self.batch_size[0])
 
     def _arrivals(self, b: int, episode: int):
         scenario = self.simulator.scenario(b)
@@ -167,6 +182,7 @@ class NFVEnv(EnvBase):
             "seed": self._seed,
             "episode": torch.from_numpy(self._episode.copy()),
             "world": {name: torch.from_numpy(array) for name, array in snapshot.items()},
+            "memories": [memory.state_dict() for memory in self._memories()],
         }
 
     def load_state_dict(self, state_dict, *args, **kwargs) -> None:
@@ -187,5 +203,7 @@ class NFVEnv(EnvBase):
             self.simulator.load_arrivals(b, *self._arrivals(b, max(int(episode[b]), 0)))
         world = {name: tensor.numpy() for name, tensor in state_dict["world"].items()}
         self.simulator.world = restore_snapshot(self.simulator.world, world)
+        for memory, kept in zip(self._memories(), state_dict["memories"], strict=True):
+            memory.load_state_dict(kept)
         # A state from before the first reset has no horizon to go on with.
         self._continue = bool((episode >= 0).all())

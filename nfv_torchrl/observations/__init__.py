@@ -3,6 +3,14 @@
 from nfv_torchrl.observations.base import ObservationPart, read_observation
 from nfv_torchrl.observations.candidates import CandidateObservation
 from nfv_torchrl.observations.graph import GraphObservation
+from nfv_torchrl.observations.memory import MemoryObservation
 from nfv_torchrl.observations.request import RequestObservation
 
-__all__ = ["CandidateObservation", "GraphObservation", "ObservationPart", "RequestObservation", "read_observation"]
+__all__ = [
+    "CandidateObservation",
+    "GraphObservation",
+    "MemoryObservation",
+    "ObservationPart",
+    "RequestObservation",
+    "read_observation",
+]
