@@ -19,6 +19,9 @@ from nfv_torchrl.observations import CandidateObservation, GraphObservation, Req
 from nfv_torchrl.scenario.scenario import Scenario, paper_scenario
 from nfv_torchrl.simulator import Reason
 
+# These policies need no InitTracker, which a collector of a later TorchRL would add.
+pytestmark = pytest.mark.filterwarnings("ignore:The env passed to Collector:FutureWarning")
+
 FAILING = {"p_fail_vm": 0.02, "p_fail_link": 0.02, "p_repair": 0.2}
 
 
