@@ -11,7 +11,6 @@ Copy, paste and change it: every part below can be replaced without touching the
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import hydra
 import torch
@@ -30,7 +29,7 @@ from nfv_torchrl.training.cli import clear_errors
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
-from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 
@@ -42,7 +41,7 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
-    folder = RunFolder(Path(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
+    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
 
     # Loss first: it makes the networks, whose observations the environment has to emit.
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
@@ -90,11 +89,13 @@ def main(cfg: DictConfig) -> None:
         policy_device=device,
         env_device="cpu",
         storing_device="cpu",
+        auto_register_policy_transforms=False,
     )
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
     bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)
     batches = iter(collector)
+    folder.load_random_numbers(state)  # making the parts above drew some
 
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:

@@ -94,9 +94,7 @@ class PolicyGradient(nn.Module):
         actor = masked_actor(network(sizes), sizes.actions)
         value = StateValue(network(sizes))
         self._observed = list(dict.fromkeys([*value.network.in_keys, "action_mask"]))
-        critic = TensorDictModule(
-            value, in_keys=[*value.network.in_keys, "action_mask"], out_keys=["state_value"]
-        )
+        critic = TensorDictModule(value, in_keys=[*value.network.in_keys, "action_mask"], out_keys=["state_value"])
         self.objective = self.make_objective(actor, critic, **settings)
         self.objective.set_keys(done=stop_at, terminated=stop_at)
         self.objective.make_value_estimator(ValueEstimators.GAE, gamma=gamma, lmbda=lmbda)

@@ -124,9 +124,9 @@ class Simulator:
         if self.world.log.enabled:
             clear_log(self.world.log, b)
         kernels.start_env(self.world, b)
-        self._make_room(*self._room(b))
+        self.make_room(*self._room(b))
         while not kernels.forward_env(self.world, b, start_slot):
-            self._make_room(*self._room(b))
+            self.make_room(*self._room(b))
         self.world.outcome[b] = 0.0
         self.world.outcome[b, REASON] = NO_REASON
 
@@ -156,9 +156,9 @@ class Simulator:
             rooms = [kernels.step_range(self.world, actions, bounds[0], bounds[1])]
             rooms += [future.result() for future in waiting]
             room = tuple(min(values) for values in zip(*rooms, strict=True))
-        self._make_room(*room)
+        self.make_room(*room)
 
-    def _make_room(self, records: int, entries: int, places: int) -> None:
+    def make_room(self, records: int, entries: int, places: int) -> None:
         """Enlarge what the next step could fill: it may end one walk, of at most J steps and 2 J reservations."""
         steps = self.world.rules.max_steps
         if records < 1 or entries < 2 * steps:

@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 from torch import nn
 
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.evaluation.methods import PolicyMethod
+from nfv_torchrl.evaluation.methods import Method, PlannerMethod, PolicyMethod
 from nfv_torchrl.networks import QNetwork, Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
@@ -27,7 +27,8 @@ def policy_content(
     Args:
         loss: a ``RequestLoss``.
         sizes: sizes it was made for.
-        config: the recipe's config: ``network``, ``loss`` and ``one_hot`` are needed to build it again.
+        config: the recipe's config: ``network``, ``loss``, ``one_hot`` and ``planner``, if there is one that asks the
+            policy, are needed to build it again.
         scenario: what it was trained on.
         scores: numbers to keep beside it.
     """
@@ -37,7 +38,8 @@ def policy_content(
         "sizes": dict(sizes._asdict()),
         "network": dict(config["network"]),
         "loss": dict(config["loss"]),
-        "one_hot": bool(config["one_hot"]),
+        "one_hot": bool(config.get("one_hot", False)),
+        "planner": dict(config.get("planner") or {}),
         "scenario": scenario.name,
         "mask": scenario.mask,
         "admission_control": scenario.admission_control,
@@ -56,10 +58,11 @@ def load_policy(
     *,
     name: str = "checkpoint",
     trusted_packages: Sequence[str] = (),
-) -> PolicyMethod:
+) -> Method:
     """The greedy policy of a file (``best.pt`` or a full checkpoint of a run) for ``scenario``.
 
-    It acts under the mask that it was trained with, and may always reject if it could in training.
+    It acts under the mask that it was trained with, and may always reject if it could in training. A policy that was
+    trained to be asked by a planner (NFVdeep) comes as that planner's method.
 
     Args:
         path: the file.
@@ -75,10 +78,12 @@ def load_policy(
     content = content.get("policy", content)
     if content.get("format") != FORMAT:
         raise CheckpointError(f"{path} is not a policy file of this version (format {content.get('format')!r})")
-    for part in ("network", "loss"):
+    for part in ("network", "loss", "planner"):
         _check_target(path, content[part], trusted_packages)
     network = instantiate(content["network"])
-    sizes = Sizes.of(Simulator(scenario, 1, one_hot=content["one_hot"]))
+    simulator = Simulator(scenario, 1, one_hot=content["one_hot"])
+    planner = instantiate(content["planner"])
+    sizes = planner.sizes(simulator) if planner else Sizes.of(simulator)
     loss = instantiate(content["loss"], network=network, sizes=sizes)
     module = q_network(loss)
     trained = Sizes(**content["sizes"])
@@ -91,6 +96,8 @@ def load_policy(
         )
     loss.load_state_dict(content["weights"])
     loss.actor.eval()
+    if planner:
+        return PlannerMethod(planner.follow(loss.actor), name=name)
     return PolicyMethod(
         loss.actor,
         module.observations(),

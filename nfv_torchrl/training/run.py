@@ -14,7 +14,7 @@ from torch import nn
 
 from nfv_torchrl import __version__
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.evaluation.methods import PolicyMethod
+from nfv_torchrl.evaluation.methods import Method, PolicyMethod
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.network_figure import draw_utilisation
 from nfv_torchrl.evaluation.runner import run_method
@@ -139,15 +139,19 @@ def evaluate_policy(
     folder: RunFolder,
     logger: RunLogger,
     progress: Progress,
+    method: Method | None = None,
 ) -> None:
     """Act greedily on held-out workloads, log what came of it, and keep the policy if it is the best so far.
+
+    ``method`` says how the loss's actor acts: by default step by step, as ``PolicyMethod``.
 
     Best means the highest AAR; among equals the lowest cost per accepted request.
     """
     actor = loss.actor
     device = next(actor.parameters()).device
     actor.eval()  # noisy networks act by their mean weights
-    method = PolicyMethod(actor.to("cpu"), q_network(loss).observations(), one_hot=config["one_hot"])
+    actor.to("cpu")
+    method = method or PolicyMethod(actor, q_network(loss).observations(), one_hot=config["one_hot"])
     records = run_method(scenario, method, list(config["eval"]["seeds"]))
     actor.to(device)
     actor.train()

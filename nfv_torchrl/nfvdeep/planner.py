@@ -1,0 +1,139 @@
+"""NFVdeep as a planner: a learned policy chooses the nodes, the rest of the plan follows."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.networks import Sizes
+from nfv_torchrl.nfvdeep.drafts import COMPLETE, OPEN, Drafts, Options, begin_rows, choose_rows, make_drafts
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.tables import Rules, Tables
+
+ROUTES = ("delay", "cost")
+
+
+class NFVdeepPlanner:
+    """Plans of NFVdeep (Xiao et al., "NFVdeep: Adaptive Online Service Function Chain Deployment with Deep
+    Reinforcement Learning", IWQoS 2019): a policy puts one function after the other on a node.
+
+    Between the nodes the request takes the shortest route over links that can carry it; at a node it takes the cheapest
+    VM that fits. Where no node is left for a function, the last placement is undone and its node ruled out for that
+    function, at most ``backtracks`` times a request, then the request is refused.
+
+    Without colocation a plan keeps to the walk of the environment: one function a hop, so never two in a row on one
+    node, and no route through the egress, where all functions not placed yet go.
+
+    Args:
+        actor: the policy; reads ``observation`` and ``action_mask`` as emitted by ``NFVdeepEnv``, writes ``action``.
+            It can be given later, by ``follow``.
+        route: what the shortest routes are short of, ``delay`` (ms) or ``cost`` (link unit costs).
+        backtracks: placements undone a request.
+        may_refuse: the policy may refuse a request even if a node is left.
+
+    Raises:
+        ScenarioError: no such ``route``, negative ``backtracks``.
+    """
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase | None = None,
+        *,
+        route: str = "delay",
+        backtracks: int = 5,
+        may_refuse: bool = False,
+    ) -> None:
+        if route not in ROUTES:
+            raise ScenarioError(f"planner.route: {route!r}; use one of {', '.join(ROUTES)}")
+        if backtracks < 0:
+            raise ScenarioError(f"planner.backtracks: {backtracks}; use 0 or more")
+        self.actor = actor
+        self.options = Options(by_cost=route == "cost", backtracks=int(backtracks), may_refuse=bool(may_refuse))
+        self._drafts: Drafts | None = None
+
+    @staticmethod
+    def sizes(simulator: Simulator) -> Sizes:
+        """The sizes of the policy's observation (4 N + 4) and actions (N + 1)."""
+        nodes = simulator.tables.vm_count.shape[1]
+        return Sizes(
+            observation=4 * nodes + 4,
+            actions=nodes + 1,
+            services=len(simulator.tables.chain_length),
+            candidate_features=0,
+        )
+
+    def follow(self, actor: TensorDictModuleBase) -> NFVdeepPlanner:
+        """Plan by ``actor`` from now on."""
+        self.actor = actor
+        return self
+
+    def prepare(self, tables: Tables, rules: Rules) -> None:
+        """See ``Planner``."""
+        self._drafts = make_drafts(tables, rules, 1)
+
+    def plan(
+        self,
+        tables: Tables,
+        rules: Rules,
+        net: int,
+        vm_offered: np.ndarray,
+        link_offered: np.ndarray,
+        service: int,
+        ingress: int,
+        egress: int,
+        plan_out: np.ndarray,
+    ) -> int:
+        """Plan one request; see ``Planner``."""
+        lengths = np.zeros(1, np.int64)
+        one = [np.array([value]) for value in (service, ingress, egress)]
+        self.plan_batch(
+            tables,
+            rules,
+            np.zeros(1, np.int64),
+            np.array([net]),
+            vm_offered[None],
+            link_offered[None],
+            *one,
+            plan_out[None],
+            lengths,
+        )
+        return int(lengths[0])
+
+    def plan_batch(
+        self,
+        tables: Tables,
+        rules: Rules,
+        rows: np.ndarray,
+        env_net: np.ndarray,
+        vm_offered: np.ndarray,
+        link_offered: np.ndarray,
+        service: np.ndarray,
+        ingress: np.ndarray,
+        egress: np.ndarray,
+        plans: np.ndarray,
+        lengths: np.ndarray,
+    ) -> None:
+        """Plan the requests of many environments, the policy called for all of them together; see ``Planner``."""
+        drafts = self._drafts
+        if drafts is None or len(drafts.state) != len(env_net):
+            drafts = self._drafts = make_drafts(tables, rules, len(env_net))
+        world = (env_net, vm_offered, link_offered, service, ingress, egress, self.options, drafts)
+        begin_rows(tables, rules, rows, *world)
+        waiting = rows
+        while waiting.size:
+            choose_rows(tables, rules, waiting, *world, self._ask(drafts, waiting))
+            waiting = waiting[drafts.state[waiting] == OPEN]
+        plans[rows] = drafts.action[rows]
+        lengths[rows] = np.where(drafts.state[rows] == COMPLETE, drafts.steps[rows], 0)
+
+    def _ask(self, drafts: Drafts, rows: np.ndarray) -> np.ndarray:
+        """The policy's choice for each of ``rows``."""
+        if self.actor is None:
+            raise ScenarioError("an NFVdeepPlanner has no policy yet; give it one by follow(actor)")
+        seen = {"observation": torch.from_numpy(drafts.flat[rows]), "action_mask": torch.from_numpy(drafts.mask[rows])}
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            return self.actor(TensorDict(seen, batch_size=[rows.size]))["action"].cpu().numpy()

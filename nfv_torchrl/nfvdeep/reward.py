@@ -1,0 +1,40 @@
+"""What NFVdeep earns: income of an accepted request less the cost of its embedding."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from nfv_torchrl.rewards import CostScale
+from nfv_torchrl.simulator import Simulator
+
+
+class Profit:
+    """Income - cost of a request when it is accepted, 0 when it is rejected and on every step before.
+
+    The income of a request is what it asks for at the substrate's mean unit prices, its whole load on VMs and its rate
+    on one link, times ``markup``; it does not depend on the lifetime, which a controller does not know. The cost is the
+    phi that the ledger charges.
+
+    Args:
+        simulator: where substrates, services and the environments' substrates are taken from.
+        markup: the larger, the more acceptance counts beside cost. Below 3 or so accepting can be a loss.
+        relative: divide by the request's own income, so that every request counts alike (1 - cost / income at most 1);
+            otherwise by the mean income of the services, so that large requests count for more.
+
+    A call takes ``outcome`` as a ``nfv_torchrl.rewards.Reward`` does (the scale is not used) and returns float64 [B].
+    """
+
+    def __init__(self, simulator: Simulator, *, markup: float = 4.0, relative: bool = False) -> None:
+        tables = simulator.tables
+        links = np.array([prices[:n].mean() for prices, n in zip(tables.link_unit_cost, tables.num_links, strict=True)])
+        vm_part = tables.mean_vm_cost[:, None] * tables.load.sum(axis=1)
+        self.income = markup * (vm_part + links[:, None] * tables.rate)[simulator.world.env["net"]]
+        self.scale = self.income if relative else np.broadcast_to(self.income.mean(1, keepdims=True), self.income.shape)
+
+    def __call__(self, outcome: Mapping[str, np.ndarray], scale: CostScale) -> np.ndarray:
+        """Reward of every environment's last step."""
+        rows, service = np.arange(len(self.income)), outcome["service"].astype(np.int64)
+        profit = (self.income[rows, service] - outcome["request_cost"]) / self.scale[rows, service]
+        return np.where(outcome["accepted"] > 0, profit, 0.0)

@@ -1,0 +1,137 @@
+"""Train NFVdeep by policy gradient, explicitly, top to bottom.
+
+    python recipes/nfvdeep.py                            # scenario=paper
+    python recipes/nfvdeep.py scenario=heavy planner.route=cost
+    python recipes/nfvdeep.py run_dir=runs/nfvdeep resume=true
+
+After Xiao et al., "NFVdeep: Adaptive Online Service Function Chain Deployment with Deep Reinforcement Learning", IWQoS
+2019: one function a decision, shortest paths between, backtracking, income less cost as the reward. A frame is one
+decision. The loss is any of those of policy_gradient.py; REINFORCE by default.
+"""
+
+from __future__ import annotations
+
+import time
+
+import hydra
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
+from torchrl.checkpoint import GlobalRNGState
+from torchrl.collectors import Collector
+from tqdm import tqdm
+
+from nfv_torchrl.evaluation.methods import PlannerMethod
+from nfv_torchrl.nfvdeep import NFVdeepEnv
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
+from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
+from nfv_torchrl.training.window import TrainingWindow
+
+
+@hydra.main(config_path="config", config_name="nfvdeep", version_base=None)
+@clear_errors
+def main(cfg: DictConfig) -> None:
+    device = choose_device(cfg.device)
+    set_threads(cfg.threads)
+    seed_everything(cfg.seed)
+    config = OmegaConf.to_container(cfg, resolve=True)
+    scenario = Scenario.from_config(config["scenario"])
+    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
+
+    # The planner says what the policy sees and chooses from, and turns its choices into plans.
+    planner = instantiate(cfg.planner)
+    sizes = planner.sizes(Simulator(scenario, 1))
+    loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+    method = PlannerMethod(planner.follow(loss.actor), name="nfvdeep")
+    env = NFVdeepEnv(
+        scenario, cfg.collector.num_envs, planner=planner, stagger=cfg.stagger, seed=cfg.seed, **cfg.reward
+    )
+    optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
+
+    def update(rows: TensorDictBase) -> TensorDictBase:
+        """One gradient step; returns what the loss says, and the gradient norm, without waiting for them."""
+        values = loss(rows)
+        total = sum(value for key, value in values.items() if key.startswith("loss"))
+        optimizer.zero_grad()
+        total.backward()
+        limit = cfg.learner.max_grad_norm or float("inf")
+        norm = torch.nn.utils.clip_grad_norm_(loss.parameters(), limit)
+        optimizer.step()
+        return values.detach().set("gradient_norm", norm.detach())
+
+    progress = Progress()
+    window = TrainingWindow(tuple(kind.name for kind in scenario.catalogue.types), scenario.warmup)
+    state = {
+        "loss": loss,
+        "optimizer": optimizer,
+        "env": env,
+        "window": window,
+        "progress": progress,
+        "rng": GlobalRNGState(),
+    }
+    # A new environment's first reset starts its horizons, a loaded one's goes on where it was.
+    folder.load(state)
+    collector = Collector(
+        env,
+        loss.actor,
+        frames_per_batch=cfg.collector.num_envs * cfg.collector.steps,
+        total_frames=-1,
+        policy_device=device,
+        env_device="cpu",
+        storing_device="cpu",
+        auto_register_policy_transforms=False,
+    )
+    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
+    bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)
+    batches = iter(collector)
+    folder.load_random_numbers(state)  # making the parts above drew some
+
+    with StopRequest() as stop:
+        while progress.frames < cfg.collector.total_frames and not stop.asked:
+            data = next(batches)
+            progress.iteration += 1
+            progress.frames += data.numel()
+            window.add(data)
+
+            # On-policy: what was collected is learned from now and then forgotten.
+            started = time.perf_counter()
+            rows = loss.prepare(data.to(device))
+            for _ in range(cfg.learner.epochs):
+                for picked in torch.randperm(len(rows), device=device).split(cfg.learner.minibatch):
+                    learning = update(rows[picked])
+                    progress.updates += 1
+            progress.learning_seconds += time.perf_counter() - started
+
+            if progress.iteration % cfg.logger.interval == 0:
+                metrics = window.metrics()
+                metrics |= progress.speeds()
+                metrics |= {f"train/{key}": float(value) for key, value in learning.items()}
+                metrics["train/reward"] = float(data["next", "reward"].mean())
+                logger.scalars(metrics, progress.frames)
+                bar.set_postfix_str(
+                    f"AAR {metrics.get('train/aar', 0):.3f}  cost {metrics.get('train/cost_per_accepted', 0):.0f} $"
+                )
+                window.reset()
+            if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
+                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
+            if progress.iteration % cfg.checkpoint.interval == 0:
+                folder.save(state, progress.frames)
+            bar.update(progress.frames - bar.n)
+
+    bar.close()
+    if cfg.eval.interval and not stop.asked:
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
+    folder.save(state, progress.frames)
+    logger.close()
+    collector.shutdown()
+    folder.print_ending(interrupted=stop.asked)
+
+
+if __name__ == "__main__":
+    main()
