@@ -72,21 +72,31 @@ def line_figure(
         figure = Figure(layout="constrained")
         axes = figure.add_subplot()
         for place, series in enumerate(dict.fromkeys(row["series"] for row in rows)):
-            points = sorted((row for row in rows if row["series"] == series), key=lambda row: row["x"])
-            _draw(axes, points, str(series), place, series in dashed)
+            points = [row for row in rows if row["series"] == series]
+            draw_series(axes, points, str(series), place, "--" if series in dashed else "-")
         axes.set(xlabel=x_label, ylabel=y_label, title=title)
         if rows:
             axes.legend()
     return figure
 
 
-def _draw(axes: Any, points: Sequence[Row], label: str, place: int, dashed: bool) -> None:
+def draw_series(axes: Any, rows: Sequence[Row], label: str, place: int, linestyle: str = "-") -> None:
+    """One line over the ``rows`` of one series, with its confidence interval where that is defined.
+
+    Args:
+        axes: matplotlib axes.
+        rows: tidy table of the series alone, in any order.
+        label: what the legend says.
+        place: number of the series, which gives colour and marker.
+        linestyle: a line that is not solid has no markers (a bound, a theory).
+    """
+    points = sorted(rows, key=lambda row: row["x"])
     x = [point["x"] for point in points]
     mean, low, high = ([float(point[key]) for point in points] for key in ("mean", "ci_low", "ci_high"))
     colour = COLOURS[place % len(COLOURS)]
     band = len(points) > MOST_ERROR_BARS
-    marker = "" if band or dashed else MARKERS[place % len(MARKERS)]
-    axes.plot(x, mean, color=colour, marker=marker, linestyle="--" if dashed else "-", label=label)
+    marker = "" if band or linestyle != "-" else MARKERS[place % len(MARKERS)]
+    axes.plot(x, mean, color=colour, marker=marker, linestyle=linestyle, label=label)
     if band:
         axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
         return
