@@ -1,6 +1,6 @@
 """How it learns: one file a loss. A recipe's yaml names the class by ``_target_``; there is no registry."""
 
-from nfv_torchrl.losses.base import MaskedLoss, RequestLoss, greedy_actor
+from nfv_torchrl.losses.base import MaskedLoss, RequestLoss, greedy_actor, has_target
 from nfv_torchrl.losses.cql import CQL
 from nfv_torchrl.losses.discrete_sac import DiscreteSAC
 from nfv_torchrl.losses.dqn import DQN
@@ -18,4 +18,5 @@ __all__ = [
     "QuantileDQN",
     "RequestLoss",
     "greedy_actor",
+    "has_target",
 ]

@@ -34,6 +34,11 @@ class RequestLoss(Protocol):
         ...
 
 
+def has_target(loss: nn.Module) -> bool:
+    """Whether a loss has target networks, which need an updater."""
+    return any(name.startswith("target_") for name, _ in loss.named_children())
+
+
 def greedy_actor(network: nn.Module, actions: int, in_keys: Sequence[NestedKey] | None = None) -> QValueActor:
     """The greedy policy of a Q-network over the valid actions, ``actions`` with reject.
 

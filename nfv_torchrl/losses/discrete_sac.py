@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torchrl.data import Categorical
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.base import MaskedLoss
 from nfv_torchrl.losses.masked import masked_expectation, masked_log_softmax, masked_softmax
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
@@ -67,7 +68,7 @@ class DiscreteSAC(MaskedLoss):
         stop_at: str = "request_done",
     ) -> None:
         if alpha <= 0:
-            raise ValueError(f"loss.alpha is {alpha}; the temperature must be above 0")
+            raise ScenarioError(f"loss.alpha is {alpha}; the temperature must be above 0")
         policy, critics = network(sizes), TwoNetworks(network(sizes), network(sizes))
         super().__init__(policy, stop_at=stop_at)
         self.gamma, self.entropy_share = gamma, entropy_share

@@ -6,6 +6,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.dqn import DQN
 from nfv_torchrl.networks import NetworkFactory, Sizes
 
@@ -48,7 +49,7 @@ class NStepDQN(DQN):
     ) -> None:
         super().__init__(network, sizes, gamma=gamma, double=double, loss_function=loss_function, stop_at=stop_at)
         if n < 1:
-            raise ValueError(f"loss.n is {n}; at least one reward is summed")
+            raise ScenarioError(f"loss.n is {n}; at least one reward is summed")
         self.n, self.gamma, self.stop_at = n, gamma, stop_at
 
     def prepare(self, data: TensorDictBase) -> TensorDictBase:

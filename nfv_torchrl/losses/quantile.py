@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictParams
 from torch import Tensor, nn
 from torchrl.modules import QValueActor
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
@@ -59,7 +60,7 @@ class QuantileDQN(MaskedLoss):
         stop_at: str = "request_done",
     ) -> None:
         if quantiles < 2 or kappa <= 0:
-            raise ValueError(f"loss: quantiles is {quantiles} and kappa {kappa}; at least 2 and above 0 are needed")
+            raise ScenarioError(f"loss: quantiles is {quantiles} and kappa {kappa}; at least 2 and above 0 are needed")
         quantile_network = network(sizes, outputs=quantiles)
         super().__init__(quantile_network, stop_at=stop_at)
         self.gamma, self.kappa, self.double = gamma, kappa, double

@@ -1,0 +1,150 @@
+"""Learn from recorded decisions of any method, explicitly, top to bottom: record, train, evaluate.
+
+    python recipes/offline.py                                     # conservative Q-learning from greedy's decisions
+    python recipes/offline.py method=[myopic_optimal] loss=imitation
+    python recipes/offline.py dataset=runs/greedy_data run_dir=runs/cql loss.alpha=0.5
+    python recipes/offline.py run_dir=runs/offline resume=true
+
+A run first lets the method act in the environment and writes every step to a dataset, unless there is one already. It
+then learns from nothing but the dataset. Evaluations act on workloads that are not in it, under the rules of the
+recording: where a planner refuses requests by itself, the policy may, too.
+"""
+
+from __future__ import annotations
+
+import time
+
+import hydra
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
+from torchrl.checkpoint import GlobalRNGState
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from tqdm import tqdm
+
+from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.evaluation.methods import methods_from_config
+from nfv_torchrl.evaluation.runner import scenario_for
+from nfv_torchrl.losses import has_target
+from nfv_torchrl.networks import Sizes
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.policies import q_network
+from nfv_torchrl.training.recording import Dataset
+from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
+from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
+from nfv_torchrl.training.window import TrainingWindow
+
+ORIGIN = ("scenario", "method", "checkpoint", "reward", "one_hot", "stagger", "record")
+"""Config keys that determine a recording."""
+
+
+@hydra.main(config_path="config", config_name="offline", version_base=None)
+@clear_errors
+def main(cfg: DictConfig) -> None:
+    device = choose_device(cfg.device)
+    set_threads(cfg.threads)
+    seed_everything(cfg.seed)
+    config = OmegaConf.to_container(cfg, resolve=True)
+    scenario = Scenario.from_config(config["scenario"])
+    methods = methods_from_config(config["method"], scenario)
+    if len(methods) != 1:
+        raise ScenarioError(f"method: {len(methods)} were given; one is recorded, such as method=[greedy]")
+    method = methods[0]
+    scenario = scenario_for(scenario, method)
+
+    # Loss first: it makes the network, whose observations are to be recorded.
+    sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
+    loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+
+    # A dataset that does not fit is refused before the run's folder is made.
+    origin = {key: config[key] for key in ORIGIN}
+    given = Dataset(cfg.dataset, origin, loss.in_keys) if cfg.dataset else None
+    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.saving.keep)
+    dataset = given or Dataset(folder.path / "dataset", origin, loss.in_keys)
+    if not dataset.complete:
+        env = NFVEnv(
+            scenario,
+            cfg.record.num_envs,
+            reward=instantiate(cfg.reward),
+            one_hot=cfg.one_hot,
+            observations=q_network(loss).observations(),
+            stagger=cfg.stagger,
+            seed=cfg.record.seed,
+        )
+        with tqdm(total=cfg.record.frames, desc=f"record {method.name}", unit="frame", unit_scale=True) as bar:
+            dataset.record(env, method, frames=cfg.record.frames, steps=cfg.record.steps, progress=bar.update)
+
+    # Everything that was recorded, in memory, as the loss wants it.
+    recorded = TrainingWindow(tuple(kind.name for kind in scenario.catalogue.types), scenario.warmup)
+    transitions = []
+    for part in dataset.parts():
+        recorded.add(part)
+        transitions.append(loss.prepare(part).clone())
+    size = sum(len(part) for part in transitions)
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(size, device=device), batch_size=cfg.learner.batch_size)
+    buffer.extend(torch.cat(transitions))
+    del transitions
+    print(f"{size:,} transitions of {method.name} in {dataset.folder}, AAR {recorded.metrics()['train/aar']:.3f}")
+
+    updater = instantiate(cfg.target)(loss) if has_target(loss) else None
+    optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
+
+    def update() -> TensorDictBase:
+        """One gradient step; returns what the loss says, and the gradient norm, without waiting for them."""
+        values = loss(buffer.sample())
+        total = sum(value for key, value in values.items() if key.startswith("loss"))
+        optimizer.zero_grad()
+        total.backward()
+        limit = cfg.learner.max_grad_norm or float("inf")
+        norm = torch.nn.utils.clip_grad_norm_(loss.parameters(), limit)
+        optimizer.step()
+        if updater is not None:
+            updater.step()
+        return values.detach().update({"loss": total.detach(), "gradient_norm": norm.detach()})
+
+    if cfg.learner.compile:
+        update = torch.compile(update)
+
+    progress = Progress()  # its frames are transitions learned from, TensorBoard's horizontal axis
+    state = {"loss": loss, "optimizer": optimizer, "progress": progress, "rng": GlobalRNGState()}
+    if updater is not None:
+        state["updater"] = updater
+    folder.load(state)
+    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted"))
+    bar = tqdm(total=cfg.learner.updates, initial=progress.updates, unit="update", unit_scale=True)
+    folder.load_random_numbers(state)  # making the parts above drew some
+
+    with StopRequest() as stop:
+        while progress.updates < cfg.learner.updates and not stop.asked:
+            started = time.perf_counter()
+            learning = update()
+            progress.updates += 1
+            progress.frames += cfg.learner.batch_size
+            progress.learning_seconds += time.perf_counter() - started
+
+            if progress.updates % cfg.logger.interval == 0:
+                metrics = {f"train/{key}": float(value) for key, value in learning.items()} | progress.speeds()
+                logger.scalars(metrics, progress.frames)
+                bar.set_postfix_str(f"loss {metrics['train/loss']:.4f}  best AAR {max(progress.best_aar, 0):.3f}")
+            if cfg.eval.interval and progress.updates % cfg.eval.interval == 0:
+                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+            if progress.updates % cfg.saving.interval == 0:
+                folder.save(state, progress.frames)
+            bar.update(1)
+
+    bar.close()
+    if cfg.eval.interval and not stop.asked and progress.updates % cfg.eval.interval:
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+    folder.save(state, progress.frames)
+    logger.close()
+    folder.print_ending(interrupted=stop.asked)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Every loss and network trains through the DQN recipe with nothing but its name, and resumes exactly."""
+
+from __future__ import annotations
+
+from functools import partial
+from types import SimpleNamespace
+
+import pytest
+import torch
+from inprocess import call
+from tiny import TINY_SCENARIO, TINY_TRAINING
+
+from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.losses import DQN
+from nfv_torchrl.networks import MLPNetwork, Sizes
+from nfv_torchrl.scenario import paper_scenario
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
+from nfv_torchrl.training.policies import load_policy
+from nfv_torchrl.training.run import Progress, evaluate_policy
+
+CHOICES = {
+    "dqn": ["loss=dqn"],
+    "double_dqn": ["loss=double_dqn"],
+    "n_step": ["loss=n_step"],
+    "distributional": ["loss=distributional"],
+    "discrete_sac": ["loss=discrete_sac", "exploration=none"],
+    "cql": ["loss=cql"],
+    "dueling": ["network=dueling"],
+    "noisy": ["network=noisy", "exploration=none"],
+    "candidate": ["network=candidate", "loss=distributional"],
+}
+
+
+def train(folder, *overrides):
+    call(
+        "dqn",
+        f"run_dir={folder}",
+        *TINY_SCENARIO,
+        *TINY_TRAINING,
+        "eval.interval=6",
+        "checkpoint.interval=3",
+        *overrides,
+    )
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_it_trains_resumes_to_the_bit_and_loads(name, tmp_path):
+    folder = tmp_path / "run"
+    train(folder, *CHOICES[name], "collector.total_frames=192")
+    whole = load_file(CheckpointFolder(folder).files()[-1])
+    CheckpointFolder(folder).files()[-1].unlink()
+    train(folder, *CHOICES[name], "collector.total_frames=192", "resume=true")
+    again = load_file(CheckpointFolder(folder).files()[-1])
+    assert again["progress"]["frames"] == 192
+    for key, value in whole["loss"].items():
+        assert torch.equal(value, again["loss"][key]), key
+        assert torch.isfinite(value).all()
+
+    scenario = Scenario.from_config(whole["config"]["scenario"])
+    method = load_policy(folder / "best.pt", scenario)
+    once, twice = (run_method(scenario, method, [1000])[0] for _ in range(2))
+    assert (once.accepted == twice.accepted).all() and (once.step_node == twice.step_node).all()  # no noise left
+
+
+def test_noise_is_off_in_an_evaluation_and_back_after_it(tmp_path):
+    scenario = paper_scenario(nodes=4, seed=1, horizon=10, arrival_rate=2)
+    sizes = Sizes.of(Simulator(scenario, 1, one_hot=True))
+    loss = DQN(partial(MLPNetwork, hidden=[8], noisy=True), sizes)
+    modes = []
+    loss.actor.register_forward_hook(lambda module, *_: modes.append(module[0].module.layers.training))
+    logged = []
+    logger = SimpleNamespace(scalars=lambda values, frames: logged.append(values))
+    config = {
+        "one_hot": True,
+        "eval": {"seeds": [5]},
+        "logger": {"figures": False},
+        "network": {"_target_": "nfv_torchrl.networks.MLPNetwork"},
+        "loss": {"_target_": "nfv_torchrl.losses.DQN"},
+    }
+    for _ in range(2):
+        evaluate_policy(loss, scenario, sizes, config, SimpleNamespace(path=tmp_path), logger, Progress())
+    assert modes and not any(modes)
+    assert loss.actor.training and all(module.training for module in loss.actor.modules())
+    assert logged[0]["eval/aar"] == logged[1]["eval/aar"]
+    seen = torch.zeros(1, sizes.observation)
+    layers = loss.actor[0].module.layers
+    assert not torch.equal(layers(seen), layers(seen))

@@ -1,0 +1,70 @@
+"""Offline learning, run for real at tiny size: recorded once, read again, refused when it does not fit."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from inprocess import call
+from tensordict import TensorDict
+from tiny import TINY_SCENARIO
+
+from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
+
+TINY = [
+    *TINY_SCENARIO,
+    "record.num_envs=4",
+    "record.steps=32",
+    "record.frames=300",
+    "learner.updates=40",
+    "learner.batch_size=32",
+    "logger.interval=10",
+    "logger.figures=false",
+    "eval.interval=20",
+    "eval.seeds=[1000]",
+    "saving.interval=20",
+]
+
+
+def offline(folder, *overrides):
+    call("offline", f"run_dir={folder}", *TINY, *overrides)
+
+
+def test_recording_training_resuming_and_reuse(tmp_path, capsys):
+    first = tmp_path / "first"
+    offline(first)
+    assert "384 transitions of greedy" in capsys.readouterr().out and (first / "best.pt").exists()
+    parts = sorted((first / "dataset").glob("part_*"))
+    assert len(parts) == 3
+    data = TensorDict.load_memmap(parts[0])
+    assert data.shape == (4, 32)
+    assert data["action_mask"].gather(-1, data["action"].unsqueeze(-1)).all()
+    # Step t's next state is step t + 1's state, but where a horizon ended.
+    going = ~data["next", "done"][:, :-1, 0]
+    assert torch.equal(data["next", "observation"][:, :-1][going], data["observation"][:, 1:][going])
+
+    # The same run in two halves ends at the same weights.
+    shared = f"dataset={first / 'dataset'}"
+    whole, halves = tmp_path / "whole", tmp_path / "halves"
+    offline(whole, shared)
+    offline(halves, shared)
+    CheckpointFolder(halves).files()[-1].unlink()
+    offline(halves, shared, "resume=true")
+    a, b = (load_file(CheckpointFolder(folder).files()[-1])["loss"] for folder in (whole, halves))
+    assert all(torch.equal(a[key], b[key]) for key in a)
+
+    # Imitation learns from the same files and reads no reward.
+    offline(tmp_path / "clone", shared, "loss=imitation")
+    assert (tmp_path / "clone" / "best.pt").exists()
+
+    # What does not fit is refused before anything is written.
+    for override, name in (("network=candidate", "candidates"), ("method=[random_feasible]", "method")):
+        with pytest.raises(SystemExit):
+            offline(tmp_path / "refused", shared, override)
+        assert name in capsys.readouterr().err
+        assert not (tmp_path / "refused").exists()
+
+
+def test_two_methods_are_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        offline(tmp_path / "run", "method=[greedy,random]")
+    assert "one is recorded" in capsys.readouterr().err
