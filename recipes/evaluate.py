@@ -138,7 +138,7 @@ def audit(folder: Path) -> None:
     found = [f"{report.folder}: {problem}" for report in reports for problem in report.problems]
     if found:
         raise AuditError("\n  ".join(["the audit found", *found]))
-    print(f"\nAudit: {len(reports)} runs, {sum(report.requests for report in reports):,} requests, nothing found.")
+    print(f"\nAudit, runs: {len(reports)}, requests: {sum(r.requests for r in reports):,}, nothing found.")
 
 
 if __name__ == "__main__":

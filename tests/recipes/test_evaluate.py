@@ -56,7 +56,7 @@ def test_every_method_passes_the_audit_under_load_and_failures(colocation, tmp_p
     evaluate(*LOADED, *FAILING, f"scenario.colocation={colocation}", ALL, "seeds=2", f"output={tmp_path / 'out'}",
              "bounds=true")  # fmt: skip
     printed = capsys.readouterr().out
-    assert "Audit: 14 runs" in printed and "nothing found" in printed
+    assert "Audit, runs: 14," in printed and "nothing found" in printed
     assert printed.startswith("rho = ") and "bound: hindsight" in printed and "bound: blind" in printed
     assert "Against greedy" in printed
     methods = {"random", "random_feasible", "greedy", "tabu", "myopic_optimal", "priced", "priced_admit"}
@@ -76,7 +76,7 @@ def test_every_method_passes_the_audit_under_load_and_failures(colocation, tmp_p
 def test_the_integer_programme_is_a_method_too(capsys):
     evaluate("method=[milp,myopic_optimal]", "scenario.horizon=3", "scenario.substrate.nodes=4", "seeds=[7]")
     printed = capsys.readouterr().out
-    assert "Audit: 2 runs" in printed and "Against milp" in printed
+    assert "Audit, runs: 2," in printed and "Against milp" in printed
 
 
 def tiny_policy(path: Path, *overrides: str) -> None:
@@ -93,7 +93,7 @@ def test_a_checkpoint_beside_a_planner(tmp_path, capsys):
     tiny_policy(tmp_path / "best.pt")
     few = ["scenario.horizon=5", "seeds=2", f"checkpoint={tmp_path / 'best.pt'}"]
     evaluate("method=[greedy,checkpoint]", *few)
-    assert "Audit: 4 runs" in capsys.readouterr().out
+    assert "Audit, runs: 4," in capsys.readouterr().out
     assert "trained on" in refused(capsys, "method=checkpoint", *few, "scenario.substrate.nodes=6")
     assert "would not be read" in refused(capsys, "method=greedy", *few)
     assert "checkpoint: is null" in refused(capsys, "method=checkpoint")
@@ -157,7 +157,7 @@ def test_tampering_between_run_and_audit_is_loud(monkeypatch, capsys):
 def test_the_command_line_leaves_no_litter(tmp_path):
     done = run("evaluate.py", *TINY_SCENARIO, "scenario.horizon=5", "method=greedy", "seeds=1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "Audit: 1 runs" in done.stdout
+    assert "Audit, runs: 1," in done.stdout
     done = run("evaluate.py", "scenario.horizon=none", cwd=tmp_path)
     assert done.returncode == 2 and done.stderr.startswith("error: ") and "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
