@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from tensordict.nn import TensorDictModule
-from torchrl.modules import ProbabilisticActor
+from functools import partial
+
 from torchrl.objectives import A2CLoss
 
 from nfv_torchrl.losses.policy_gradient import PolicyGradient
+from nfv_torchrl.networks import NetworkFactory, Sizes
 
 
 class A2C(PolicyGradient):
@@ -17,27 +18,29 @@ class A2C(PolicyGradient):
     with the entropy :math:`H` over valid actions only (Mnih et al., "Asynchronous Methods for Deep Reinforcement
     Learning", ICML 2016). Learns from each batch once.
 
-    Args and keys: see ``PolicyGradient``, and
+    Args and keys: see ``PolicyGradient`` (the objective is made here), and
         entropy_coeff: c_H.
         critic_coeff: c_V.
 
     Writes ``loss_objective``, ``loss_critic``, ``loss_entropy`` and, to log, ``entropy``, all [].
     """
 
-    def make_objective(
+    def __init__(
         self,
-        actor: ProbabilisticActor,
-        critic: TensorDictModule,
+        network: NetworkFactory,
+        sizes: Sizes,
         *,
+        gamma: float = 1.0,
+        lmbda: float = 0.95,
+        stop_at: str = "request_done",
         entropy_coeff: float = 0.01,
         critic_coeff: float = 0.5,
-    ) -> A2CLoss:
-        """See ``PolicyGradient``."""
-        return A2CLoss(
-            actor,
-            critic,
+    ) -> None:
+        objective = partial(
+            A2CLoss,
             entropy_coeff=entropy_coeff,
             critic_coeff=critic_coeff,
             loss_critic_type="l2",
             functional=False,
         )
+        super().__init__(network, sizes, objective, gamma=gamma, lmbda=lmbda, stop_at=stop_at)

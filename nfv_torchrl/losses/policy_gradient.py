@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
@@ -54,55 +56,54 @@ class StateValue(nn.Module):
         return values.sum(-1, keepdim=True) / mask.sum(-1, keepdim=True)
 
 
+Objective = Callable[[ProbabilisticActor, TensorDictModule], LossModule]
+"""Makes a TorchRL loss of an actor and a critic, with ``functional=False``."""
+
+
 class PolicyGradient(nn.Module):
-    """Base of the policy-gradient losses: a ``RequestLoss`` around a TorchRL objective.
+    r"""Base of the policy-gradient losses: a ``RequestLoss`` around a TorchRL objective.
 
     The advantages are generalised advantage estimates (Schulman et al., "High-Dimensional Continuous Control Using
     Generalized Advantage Estimation", ICLR 2016)
 
-    .. math:: A_t = \\sum_{l \\ge 0} (\\gamma \\lambda)^l \\delta_{t+l}, \\qquad
-        \\delta_t = r_t + \\gamma (1 - d_{t+1}) V(s_{t+1}) - V(s_t)
+    .. math:: A_t = \sum_{l \ge 0} (\gamma \lambda)^l \delta_{t+l}, \qquad
+        \delta_t = r_t + \gamma (1 - d_{t+1}) V(s_{t+1}) - V(s_t)
 
     whose sum and whose look ahead end with the request (:math:`d`), or go on across requests with ``stop_at: done``.
-    :math:`\\lambda = 1` gives the return to the end of the request less the critic's baseline.
+    :math:`\lambda = 1` gives the return to the end of the request less the critic's baseline.
 
     Args:
         network: factory of the actor's network, whose values are the logits; the critic gets another of its kind.
         sizes: sizes of observation and actions.
+        objective: makes the TorchRL loss.
         gamma: discount per step.
         lmbda: lambda of the advantages.
         stop_at: key that ends the look ahead: ``request_done``, or ``done`` to look across requests.
 
-    Subclasses return their objective from ``make_objective``.
-
     Keys that ``prepare`` reads from a batch [B, T]: the network's ``in_keys``, ``action_mask`` bool [A], ``action``
-    int64 [], ``action_log_prob`` float32 [], and under ``next`` the same observation, ``reward`` float32 [1] and
-    ``stop_at`` bool [1]. It adds ``advantage`` and ``value_target`` float32 [1] and gives [B T] rows.
+    int64 [], ``action_log_prob`` float32 [], and under ``next`` the same observation, ``reward`` float32 [1],
+    ``stop_at`` and ``done`` bool [1]. It adds ``advantage`` and ``value_target`` float32 [1] and gives [B T] rows.
     """
 
     def __init__(
         self,
         network: NetworkFactory,
         sizes: Sizes,
+        objective: Objective,
         *,
-        gamma: float = 1.0,
-        lmbda: float = 0.95,
-        stop_at: str = "request_done",
-        **settings,
+        gamma: float,
+        lmbda: float,
+        stop_at: str,
     ) -> None:
         super().__init__()
         actor = masked_actor(network(sizes), sizes.actions)
         value = StateValue(network(sizes))
         self._observed = list(dict.fromkeys([*value.network.in_keys, "action_mask"]))
         critic = TensorDictModule(value, in_keys=[*value.network.in_keys, "action_mask"], out_keys=["state_value"])
-        self.objective = self.make_objective(actor, critic, **settings)
-        self.objective.set_keys(done=stop_at, terminated=stop_at)
+        self.objective = objective(actor, critic)
+        self.objective.set_keys(done="stop", terminated="stop")
         self.objective.make_value_estimator(ValueEstimators.GAE, gamma=gamma, lmbda=lmbda)
         self._stop_at = stop_at
-
-    def make_objective(self, actor: ProbabilisticActor, critic: TensorDictModule, **settings) -> LossModule:
-        """The TorchRL loss, with ``functional=False``."""
-        raise NotImplementedError
 
     @property
     def actor(self) -> ProbabilisticActor:
@@ -117,8 +118,10 @@ class PolicyGradient(nn.Module):
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Advantages along the time dimension of [B, T], then the rows that the objective reads, [B T]."""
         following = [("next", key) if isinstance(key, str) else ("next", *key) for key in self._observed]
-        ends = [("next", "reward"), ("next", self._stop_at)]
-        data = data.select(*self._observed, "action", "action_log_prob", *following, *ends)
+        # An horizon without requests ends without the end of a request.
+        stop = data.get(("next", self._stop_at)) | data.get(("next", "done"))
+        data = data.select(*self._observed, "action", "action_log_prob", *following, ("next", "reward"))
+        data.set(("next", "stop"), stop)
         with torch.no_grad():
             self.objective.value_estimator(data)
         rows = data.reshape(-1)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from tensordict.nn import TensorDictModule
-from torchrl.modules import ProbabilisticActor
+from functools import partial
+
 from torchrl.objectives import ClipPPOLoss
 
 from nfv_torchrl.losses.policy_gradient import PolicyGradient
+from nfv_torchrl.networks import NetworkFactory, Sizes
 
 
 class PPO(PolicyGradient):
@@ -18,7 +19,7 @@ class PPO(PolicyGradient):
     with the entropy :math:`H` over valid actions only (Schulman et al., "Proximal Policy Optimization Algorithms",
     arXiv:1707.06347, eq. 9).
 
-    Args and keys: see ``PolicyGradient``, and
+    Args and keys: see ``PolicyGradient`` (the objective is made here), and
         clip_epsilon: epsilon.
         entropy_coeff: c_H.
         critic_coeff: c_V.
@@ -28,20 +29,21 @@ class PPO(PolicyGradient):
     ``clip_fraction`` and ``ESS`` (effective sample size), all [].
     """
 
-    def make_objective(
+    def __init__(
         self,
-        actor: ProbabilisticActor,
-        critic: TensorDictModule,
+        network: NetworkFactory,
+        sizes: Sizes,
         *,
+        gamma: float = 1.0,
+        lmbda: float = 0.95,
+        stop_at: str = "request_done",
         clip_epsilon: float = 0.2,
         entropy_coeff: float = 0.01,
         critic_coeff: float = 0.5,
         normalize_advantage: bool = True,
-    ) -> ClipPPOLoss:
-        """See ``PolicyGradient``."""
-        return ClipPPOLoss(
-            actor,
-            critic,
+    ) -> None:
+        objective = partial(
+            ClipPPOLoss,
             clip_epsilon=clip_epsilon,
             entropy_coeff=entropy_coeff,
             critic_coeff=critic_coeff,
@@ -49,3 +51,4 @@ class PPO(PolicyGradient):
             loss_critic_type="l2",
             functional=False,
         )
+        super().__init__(network, sizes, objective, gamma=gamma, lmbda=lmbda, stop_at=stop_at)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from tensordict.nn import TensorDictModule
-from torchrl.modules import ProbabilisticActor
+from functools import partial
+
 from torchrl.objectives import ReinforceLoss
 
 from nfv_torchrl.losses.policy_gradient import PolicyGradient
+from nfv_torchrl.networks import NetworkFactory, Sizes
 
 
 class Reinforce(PolicyGradient):
@@ -18,14 +19,23 @@ class Reinforce(PolicyGradient):
     Algorithms for Connectionist Reinforcement Learning", Machine Learning 8, 1992). A smaller ``lmbda`` trades the
     return's variance for the critic's bias. Learns from each batch once: the policy must be the one that acted.
 
-    Args and keys: see ``PolicyGradient``; ``lmbda`` is 1 by default.
+    Args and keys: see ``PolicyGradient`` (the objective is made here); ``lmbda`` is 1 by default.
 
     Writes ``loss_actor`` and ``loss_value`` [].
     """
 
-    def __init__(self, *args, lmbda: float = 1.0, **kwargs) -> None:
-        super().__init__(*args, lmbda=lmbda, **kwargs)
-
-    def make_objective(self, actor: ProbabilisticActor, critic: TensorDictModule) -> ReinforceLoss:
-        """See ``PolicyGradient``."""
-        return ReinforceLoss(actor, critic, loss_critic_type="l2", functional=False)
+    def __init__(
+        self,
+        network: NetworkFactory,
+        sizes: Sizes,
+        *,
+        gamma: float = 1.0,
+        lmbda: float = 1.0,
+        stop_at: str = "request_done",
+    ) -> None:
+        objective = partial(
+            ReinforceLoss,
+            loss_critic_type="l2",
+            functional=False,
+        )
+        super().__init__(network, sizes, objective, gamma=gamma, lmbda=lmbda, stop_at=stop_at)

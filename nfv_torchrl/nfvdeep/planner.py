@@ -89,7 +89,6 @@ class NFVdeepPlanner:
     ) -> int:
         """Plan one request; see ``Planner``."""
         lengths = np.zeros(1, np.int64)
-        one = [np.array([value]) for value in (service, ingress, egress)]
         self.plan_batch(
             tables,
             rules,
@@ -97,7 +96,9 @@ class NFVdeepPlanner:
             np.array([net]),
             vm_offered[None],
             link_offered[None],
-            *one,
+            np.array([service]),
+            np.array([ingress]),
+            np.array([egress]),
             plan_out[None],
             lengths,
         )

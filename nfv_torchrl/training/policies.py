@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 from torch import nn
 
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.evaluation.methods import Method, PlannerMethod, PolicyMethod
+from nfv_torchrl.evaluation.methods import PlannerMethod, PolicyMethod
 from nfv_torchrl.networks import QNetwork, Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
@@ -58,7 +58,7 @@ def load_policy(
     *,
     name: str = "checkpoint",
     trusted_packages: Sequence[str] = (),
-) -> Method:
+) -> PolicyMethod | PlannerMethod:
     """The greedy policy of a file (``best.pt`` or a full checkpoint of a run) for ``scenario``.
 
     It acts under the mask that it was trained with, and may always reject if it could in training. A policy that was
