@@ -11,7 +11,7 @@ from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from nfv_torchrl import rewards
-from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.errors import CheckpointError, ScenarioError
 from nfv_torchrl.observations import MemoryObservation, ObservationPart, RequestObservation, read_observation
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
@@ -33,7 +33,9 @@ class NFVEnv(EnvBase):
         reward: see ``nfv_torchrl.rewards``; default ``admission_step_cost``.
         one_hot: append one-hot service type, current node, egress and function index to ``observation``.
         observations: further keys to emit; default the request's own numbers under ``request``.
-        stagger: environment b's first horizon begins at a random slot, on a network loaded by a quick compiled rule.
+        stagger: horizons begin at a random slot, on a network loaded by a quick compiled rule with tastes of its own.
+        segment: with ``stagger``, slots after which an environment leaves its horizon (``done``, not ``terminated``)
+            for a new one at another random slot, so that learning sees many loads in little time; None: never.
         seed: first seed; ``set_seed`` sets another.
         threads: threads that split the batch inside the simulator; results do not depend on it.
 
@@ -57,6 +59,7 @@ class NFVEnv(EnvBase):
         one_hot: bool = True,
         observations: Sequence[ObservationPart] | None = None,
         stagger: bool = False,
+        segment: int | None = None,
         seed: int = 0,
         threads: int = 1,
     ) -> None:
@@ -66,8 +69,12 @@ class NFVEnv(EnvBase):
         self.cost_scale = rewards.cost_scale(self.simulator.tables, self.simulator.world.env["net"])
         self.parts = (RequestObservation(),) if observations is None else tuple(observations)
         self.stagger = stagger
+        if segment is not None and (segment < 1 or not stagger):
+            raise ScenarioError(f"segment is {segment}; it needs stagger and must be at least 1 slot, or null")
+        self.segment = segment
         self._seed = seed
         self._episode = np.full(batch_size, -1, np.int64)
+        self._leave_at = np.zeros(batch_size, np.int64)
         self._continue = False
         self._make_specs()
 
@@ -120,7 +127,8 @@ class NFVEnv(EnvBase):
         self._act(tensordict.get("action").numpy())
         outcome = torch.from_numpy(self.simulator.world.outcome)
         reward = self.reward(self.simulator.outcome, self.cost_scale)
-        done = outcome[:, DONE, None] > 0
+        terminated = outcome[:, DONE, None] > 0
+        done = terminated | self._segments_ended()
         for memory in self._memories():
             memory.keep(tensordict, done)
         return self._observe().update(
@@ -128,9 +136,17 @@ class NFVEnv(EnvBase):
                 **self._outcome_keys(outcome),
                 "reward": torch.from_numpy(np.asarray(reward, np.float32)).unsqueeze(-1),
                 "done": done,
-                "terminated": done.clone(),
+                "terminated": terminated,
             }
         )
+
+    def _segments_ended(self) -> torch.Tensor:
+        """Environments between two requests whose segment is over, bool [B, 1]."""
+        if self.segment is None:
+            return torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        world = self.simulator.world
+        ended = (world.outcome[:, REQUEST_DONE] > 0) & (world.env["slot"] >= self._leave_at)
+        return torch.from_numpy(ended).unsqueeze(-1)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
         # The first reset after load_state_dict continues instead: a collector always begins with a reset.
@@ -155,13 +171,17 @@ class NFVEnv(EnvBase):
         for b in rows.tolist():
             self._episode[b] += 1
             episode = int(self._episode[b])
-            scenario = self.simulator.scenario(b)
-            start_slot = 0
-            if self.stagger and episode == 0:
-                start_slot = int(generator(self._seed, Stream.START, b).integers(scenario.horizon))
-            self.simulator.start(b, *self._arrivals(b, episode), start_slot=start_slot)
+            start_slot, taste = self._random_start(b, episode) if self.stagger else (0, None)
+            self.simulator.start(b, *self._arrivals(b, episode), start_slot=start_slot, taste=taste)
+            self._leave_at[b] = start_slot + (self.segment or 0)
         for memory in self._memories():
             memory.forget(rows, self.batch_size[0])
+
+    def _random_start(self, b: int, episode: int) -> tuple[int, np.ndarray]:
+        """A slot to begin at, and by which taste the VMs are filled until then."""
+        rng = generator(self._seed, Stream.START, b, episode)
+        shape = self.simulator.world.ledger.vm_offered.shape[1:]
+        return int(rng.integers(self.simulator.scenario(b).horizon)), np.exp(rng.normal(0.0, 0.3, shape))
 
     def _arrivals(self, b: int, episode: int):
         scenario = self.simulator.scenario(b)
@@ -181,6 +201,7 @@ class NFVEnv(EnvBase):
         return {
             "seed": self._seed,
             "episode": torch.from_numpy(self._episode.copy()),
+            "leave_at": torch.from_numpy(self._leave_at.copy()),
             "world": {name: torch.from_numpy(array) for name, array in snapshot.items()},
             "memories": [memory.state_dict() for memory in self._memories()],
         }
@@ -199,6 +220,7 @@ class NFVEnv(EnvBase):
             )
         self._seed = int(state_dict["seed"])
         self._episode = episode.copy()
+        self._leave_at = state_dict["leave_at"].numpy().copy()
         for b in range(self.batch_size[0]):
             self.simulator.load_arrivals(b, *self._arrivals(b, max(int(episode[b]), 0)))
         world = {name: tensor.numpy() for name, tensor in state_dict["world"].items()}

@@ -606,11 +606,12 @@ def start_env(world, b):
 
 
 @njit(cache=True, _nrt=False)
-def thrifty_action(world, b):
+def thrifty_action(world, b, taste):
     """A quick sensible rule: of the steps that pass, the one with the least cost now plus cheapest links still to go.
 
     Functions not placed yet are counted at the network's mean VM unit cost, so that a VM cheaper than that is taken
-    on the way. Used to load the network for staggered starts, not as a method of its own.
+    on the way. ``taste`` float64 [N, V] multiplies the VMs' unit costs, so that networks can be loaded in different
+    ways. Used for staggered starts, not as a method of its own.
     """
     tables, e = world.tables, world.env[b]
     vms = world.ledger.vm_offered.shape[2]
@@ -632,7 +633,7 @@ def thrifty_action(world, b):
         if link >= 0:
             score += rate * tables.link_unit_cost[e.net, link]
         if place:
-            saved = tables.vm_unit_cost[e.net, node, vm] - tables.mean_vm_cost[e.net]
+            saved = tables.vm_unit_cost[e.net, node, vm] * taste[node, vm] - tables.mean_vm_cost[e.net]
             score += saved * tables.load[service, e.function]
         if score < best_score:
             best, best_score = action, score
@@ -640,7 +641,7 @@ def thrifty_action(world, b):
 
 
 @njit(cache=True, nogil=True, _nrt=False)
-def forward_env(world, b, slot):
+def forward_env(world, b, slot, taste):
     """Play ``thrifty_action`` in environment b until ``slot``, or until room runs low. Returns True if it arrived."""
     e = world.env[b]
     steps = world.rules.max_steps
@@ -649,7 +650,7 @@ def forward_env(world, b, slot):
             return False
         if world.log.enabled and world.log.action.shape[1] - e.log_length < steps:
             return False
-        step_env(world, b, thrifty_action(world, b))
+        step_env(world, b, thrifty_action(world, b, taste))
     return True
 
 

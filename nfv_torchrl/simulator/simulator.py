@@ -111,7 +111,13 @@ class Simulator:
         return self.scenarios[b % len(self.scenarios)]
 
     def start(
-        self, b: int, workload: Workload, timeline: FailureTimeline | None = None, *, start_slot: int = 0
+        self,
+        b: int,
+        workload: Workload,
+        timeline: FailureTimeline | None = None,
+        *,
+        start_slot: int = 0,
+        taste: np.ndarray | None = None,
     ) -> None:
         """Begin the horizon of environment b on an empty network.
 
@@ -119,13 +125,16 @@ class Simulator:
             workload: its requests; none at all is an horizon that is over at once.
             timeline: failures and repairs, none by default.
             start_slot: play a quick compiled rule until this slot first, so that the network is loaded.
+            taste: float64 [N, V], what that rule multiplies VM unit costs by, default 1.
         """
         self.load_arrivals(b, workload, timeline)
         if self.world.log.enabled:
             clear_log(self.world.log, b)
         kernels.start_env(self.world, b)
         self.make_room(*self._room(b))
-        while not kernels.forward_env(self.world, b, start_slot):
+        if taste is None:
+            taste = np.ones(self.world.ledger.vm_offered.shape[1:])
+        while not kernels.forward_env(self.world, b, start_slot, taste):
             self.make_room(*self._room(b))
         self.world.outcome[b] = 0.0
         self.world.outcome[b, REASON] = NO_REASON
