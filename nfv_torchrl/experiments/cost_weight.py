@@ -1,0 +1,69 @@
+"""DQN-AR trained with rewards that weigh cost more and more, beside methods that have no such weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nfv_torchrl.experiments.cells import Cell, CellStore
+from nfv_torchrl.experiments.drawing import Drawn, panel_figure
+from nfv_torchrl.experiments.rows import Rows, bound_rows, constant, method_row
+from nfv_torchrl.experiments.study import AGENT, Study, World
+from nfv_torchrl.experiments.sweeps import METRICS
+
+SERIES = {"default": "DQN-AR, default reward", "paper": "DQN-AR, paper's reward"}
+
+
+@dataclass(frozen=True)
+class CostWeight:
+    """A figure of ``metric`` over w_cost, on the base scenario.
+
+    One w_cost weighs more in the default reward, which pays w_acc once a request, than in the paper's, which pays it on
+    every step.
+    """
+
+    metric: str
+
+    def cells(self, study: Study) -> list[Cell]:
+        found: list[Cell] = []
+        for world in self._worlds(study):
+            found += self._others(study, world).values()
+            found += self._agents(study, world).values()
+            found += [study.bound(world)] if self.metric == "aar" else []
+        return found
+
+    def draw(self, study: Study, store: CellStore) -> Drawn:
+        rows: Rows = []
+        weights = study.budget["cost_weights"]
+        for world in self._worlds(study):
+            for (reward, weight), cell in self._agents(study, world).items():
+                rows.append(method_row(store, cell, AGENT, weight, self.metric, world, SERIES[reward]))
+            for name, cell in self._others(study, world).items():
+                rows += constant(method_row(store, cell, name, 0.0, self.metric, world), weights)
+            if self.metric == "aar":
+                for row in bound_rows(store, study.bound(world), 0.0, world):
+                    rows += constant(row, weights)
+        world = study.world()
+        where = f"N = {world['substrate']['nodes']}, λ = {world['arrival_rate']:g}/s, μ = {world['mean_lifetime']:g} s"
+        figure = panel_figure(
+            rows,
+            title=f"{METRICS[self.metric]} over the cost weight, {where}, ρ = {study.rho(world):.2f}\n{study.about()}",
+            x_label="w_cost of the reward that DQN-AR is trained with",
+            y_label=METRICS[self.metric],
+        )
+        return Drawn(figure, rows)
+
+    def _worlds(self, study: Study) -> list[World]:
+        return [study.world(colocation=colocation) for colocation in study.colocations]
+
+    def _others(self, study: Study, world: World) -> dict[str, Cell]:
+        return {name: cell for name, cell in study.evaluations(world).items() if name != AGENT}
+
+    def _agents(self, study: Study, world: World) -> dict[tuple[str, float], Cell]:
+        if AGENT not in study.methods(world):
+            return {}
+        return {
+            (reward, weight): study.evaluation(AGENT, world, study.reward(reward, weight))
+            for reward in study.rewards
+            if reward in SERIES
+            for weight in study.budget["cost_weights"]
+        }

@@ -1,0 +1,122 @@
+"""Figures of several panels in which a method always has the same colour and marker."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from nfv_torchrl.evaluation.figures import STYLE, Row, csv_text, draw_series, save_figure
+from nfv_torchrl.experiments.cells import Cell, CellStore
+from nfv_torchrl.experiments.rows import Rows
+from nfv_torchrl.experiments.study import Study
+from nfv_torchrl.files import write_atomically
+
+PLACES = (
+    "DQN-AR", "greedy", "tabu", "NFVdeep", "myopic_optimal", "priced", "priced_admit",
+    "bound: hindsight", "bound: blind",
+)  # fmt: skip
+"""Number, and so colour and marker, of the series that several figures show."""
+LETTERS_PER_INCH = 14
+DASHES = {"bound: hindsight": "--", "bound: blind": ":"}
+
+
+@dataclass
+class Drawn:
+    """A figure, the rows that it shows, and paired comparisons that go into a CSV of their own."""
+
+    figure: Figure
+    rows: Rows
+    paired: Rows = field(default_factory=list)
+
+    def save(self, stem: Path) -> None:
+        """``stem``.png, .pdf, .csv and, if there are any, _paired.csv."""
+        save_figure(self.figure, self.rows, stem)
+        if self.paired:
+            write_atomically(stem.with_name(f"{stem.name}_paired.csv"), csv_text(self.paired))
+
+
+class Experiment(Protocol):
+    """One figure: what has to be computed for it, and how it is drawn."""
+
+    def cells(self, study: Study) -> list[Cell]:
+        """The cells it shows (what these need comes by itself)."""
+
+    def draw(self, study: Study, store: CellStore) -> Drawn:
+        """The figure of computed cells."""
+
+
+def panel_figure(
+    rows: Sequence[Row],
+    *,
+    title: str,
+    x_label: str,
+    y_label: str | Mapping[str, str],
+    ticks: Mapping[float, str] | None = None,
+    log: bool = False,
+    like: Mapping[str, str] | None = None,
+) -> Figure:
+    """One panel beside the other for each value of ``panel`` among ``rows``, with one legend.
+
+    Args:
+        rows: tidy table with the column ``panel``.
+        title: above all.
+        x_label: of all panels.
+        y_label: of all panels, or by panel.
+        ticks: places and labels on the horizontal axis.
+        log: logarithmic axes.
+        like: series that are dashed, and the series whose colour they have.
+    """
+    panels = list(dict.fromkeys(row["panel"] for row in rows))
+    series = sorted(dict.fromkeys(row["series"] for row in rows), key=_order)
+    like = like or {}
+    styles = DASHES | dict.fromkeys(like, "--")
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(1.4 + 4.6 * len(panels), 5.2), layout="constrained")
+        set_title(figure, title)
+        grid = figure.subplots(1, len(panels), squeeze=False, sharey=isinstance(y_label, str))[0]
+        for axes, panel in zip(grid, panels, strict=True):
+            for place, name in enumerate(series):
+                mine = [row for row in rows if row["panel"] == panel and row["series"] == name]
+                if mine:
+                    draw_series(axes, mine, name, _place(like.get(name, name), place), styles.get(name, "-"))
+            axes.set_title(panel, fontsize=10)
+            axes.set(xlabel=x_label, ylabel=y_label if isinstance(y_label, str) else y_label[panel])
+            if log:
+                axes.set(xscale="log", yscale="log")
+            if ticks is not None:
+                axes.set_xticks(list(ticks), list(ticks.values()))
+                axes.minorticks_off()
+        _legend(figure, grid)
+    return figure
+
+
+def set_title(figure: Figure, title: str) -> None:
+    """The lines of ``title`` above all panels, broken where the figure is too narrow for them."""
+    width = int(LETTERS_PER_INCH * figure.get_figwidth())
+    lines = [line for part in title.split("\n") for line in textwrap.wrap(part, width)]
+    figure.suptitle("\n".join(lines), fontsize=9)
+
+
+def _legend(figure: Figure, grid: Sequence[Any]) -> None:
+    """One entry for each series of any panel, below them all."""
+    entries: dict[str, Any] = {}
+    for axes in grid:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    if entries:
+        figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=min(5, len(entries)))
+
+
+def _order(name: str) -> int:
+    return PLACES.index(name) if name in PLACES else len(PLACES)
+
+
+def _place(name: str, otherwise: int) -> int:
+    """The same for both bounds, which differ by their dashes."""
+    return min(PLACES.index(name), 7) if name in PLACES else otherwise

@@ -1,0 +1,72 @@
+"""DQN-AR while it trains, on networks of several sizes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nfv_torchrl.evaluation.figures import tidy_row
+from nfv_torchrl.evaluation.statistics import mean_interval
+from nfv_torchrl.experiments.cells import Cell, CellStore
+from nfv_torchrl.experiments.drawing import Drawn, panel_figure
+from nfv_torchrl.experiments.rows import Rows, setting
+from nfv_torchrl.experiments.study import AGENT, Study, World
+from nfv_torchrl.experiments.sweeps import METRICS
+
+GROUPS = {"eval": "acting greedily on held-out workloads", "train": "while it explores, on training workloads"}
+
+
+@dataclass(frozen=True)
+class LearningCurves:
+    """A figure of ``metric`` over frames of training; one horizon of T slots is the paper's iteration.
+
+    Intervals are over training seeds. A horizon is counted as long as the trained policy takes for one.
+    """
+
+    metric: str
+
+    def cells(self, study: Study) -> list[Cell]:
+        runs = [study.training(AGENT, world, seed=seed) for world in self._worlds(study) for seed in self._seeds(study)]
+        return runs + [study.evaluation(AGENT, world) for world in self._worlds(study)]
+
+    def draw(self, study: Study, store: CellStore) -> Drawn:
+        rows: Rows = []
+        for group in GROUPS:
+            for world in self._worlds(study):
+                rows += self._rows(study, store, world, group)
+        seeds = len(self._seeds(study))
+        title = f"{METRICS[self.metric]} of DQN-AR while it trains{self._where(study)}\n{study.about()}, "
+        figure = panel_figure(
+            rows,
+            title=f"{title}{seeds} training seed{'s' if seeds > 1 else ''}",
+            x_label="frames (decisions) of training",
+            y_label=METRICS[self.metric],
+        )
+        return Drawn(figure, rows)
+
+    def _rows(self, study: Study, store: CellStore, world: World, group: str) -> Rows:
+        curves = [store.read(study.training(AGENT, world, seed=seed))[group] for seed in self._seeds(study)]
+        values: dict[int, list[float]] = {}
+        for point in (point for curve in curves for point in curve if self.metric in point):
+            values.setdefault(point["frames"], []).append(point[self.metric])
+        horizon = self._frames_per_horizon(study, store, world)
+        name = f"N = {world['substrate']['nodes']} (ρ {study.rho(world):.2f}; a horizon is {horizon:,.0f} frames)"
+        more = {"metric": self.metric, **setting(world, study.rho(world)), "panel": GROUPS[group]}
+        return [
+            tidy_row(name, frames, mean_interval(found), horizons=round(frames / horizon, 4), **more)
+            for frames, found in sorted(values.items())
+        ]
+
+    def _frames_per_horizon(self, study: Study, store: CellStore, world: World) -> float:
+        runs = store.read(study.evaluation(AGENT, world))["metrics"].values()
+        return sum(run["frames"] for run in runs) / len(runs)
+
+    def _seeds(self, study: Study) -> list[int]:
+        return list(range(study.budget["training_seeds"]))
+
+    def _worlds(self, study: Study) -> list[World]:
+        at = study.budget["nodes_at"]
+        return [study.world(**{**at, "nodes": nodes}) for nodes in study.budget["nodes"]]
+
+    def _where(self, study: Study) -> str:
+        world = self._worlds(study)[0]
+        return f", λ = {world['arrival_rate']:g}/s, μ = {world['mean_lifetime']:g} s, colocation off"

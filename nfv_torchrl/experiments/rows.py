@@ -1,0 +1,93 @@
+"""From cells to the rows that figures and CSV files show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from nfv_torchrl.evaluation.figures import tidy_row
+from nfv_torchrl.evaluation.statistics import Interval, mean_interval, relative_difference
+from nfv_torchrl.experiments.cells import Cell, CellStore
+from nfv_torchrl.experiments.study import AGENT, Study, World, show
+from nfv_torchrl.experiments.work import read_costs
+
+Rows = list[dict[str, Any]]
+PAIRED = ("aar", "anuc")
+
+
+def values(result: Mapping[str, Any], metric: str) -> list[float]:
+    """A metric of an evaluation, seed by seed; NaN where it does not exist."""
+    found = (run[metric] for run in result["metrics"].values())
+    return [math.nan if value is None else value for value in found]
+
+
+def setting(world: World, rho: float) -> dict[str, Any]:
+    """Columns that say on what scenario a row is."""
+    return {
+        "panel": f"colocation {'on' if world['colocation'] else 'off'}",
+        "nodes": world["substrate"]["nodes"],
+        "arrival_rate": world["arrival_rate"],
+        "mean_lifetime": world["mean_lifetime"],
+        "rho": round(rho, 4),
+        "lifetimes": "seen" if world["observe_lifetime"] else "hidden",
+    }
+
+
+def method_row(
+    store: CellStore, cell: Cell, name: str, x: float, metric: str, world: World, series: str | None = None
+) -> dict[str, Any]:
+    """One method at one point."""
+    result = store.read(cell)
+    interval = mean_interval(values(result, metric))
+    more = {"metric": metric, **setting(world, result["rho"]), "cell": cell.key}
+    return tidy_row(series or show(name), x, interval, **more)
+
+
+def bound_rows(store: CellStore, cell: Cell, x: float, world: World) -> Rows:
+    """The bounds on AAR at one point."""
+    result = store.read(cell)
+    more = {"metric": "aar", **setting(world, result["rho"]), "cell": cell.key}
+    return [
+        tidy_row(f"bound: {kind}", x, mean_interval(list(by_seed.values())), **more)
+        for kind, by_seed in result["bounds"].items()
+    ]
+
+
+def paired_rows(store: CellStore, cells: Mapping[str, Cell], x: float, world: World, study: Study) -> Rows:
+    """DQN-AR against every other method on the same requests.
+
+    ``aar`` and ``anuc``: relative difference (0.07: 7 % above the reference); ``paired_cost``: cost over that of the
+    reference for the requests that both accept.
+    """
+    if AGENT not in cells:
+        return []
+    agent, rows = store.read(cells[AGENT]), []
+    for name, cell in cells.items():
+        if name == AGENT:
+            continue
+        result = store.read(cell)
+        compared = {metric: relative_difference(values(agent, metric), values(result, metric)) for metric in PAIRED}
+        compared["paired_cost"] = paired_cost(store, cells[AGENT], cell)
+        for metric, interval in compared.items():
+            more = {"metric": metric, "reference": show(name), **setting(world, study.rho(world))}
+            rows.append(tidy_row(show(AGENT), x, interval, **more))
+    return rows
+
+
+def paired_cost(store: CellStore, cell: Cell, reference: Cell) -> Interval:
+    """Mean over seeds of cost / cost of the reference, over the requests that both accept."""
+    mine, other = read_costs(cell, store), read_costs(reference, store)
+    ratios = []
+    for seed, costs in mine.items():
+        both = np.isfinite(costs) & np.isfinite(other[seed])
+        total = float(other[seed][both].sum(dtype=np.float64))
+        ratios.append(float(costs[both].sum(dtype=np.float64)) / total if total else math.nan)
+    return mean_interval(ratios)
+
+
+def constant(row: Mapping[str, Any], xs: Sequence[float]) -> Rows:
+    """A row that does not depend on x, at both ends of ``xs``."""
+    return [{**row, "x": x} for x in (min(xs), max(xs))]

@@ -1,0 +1,165 @@
+"""The cells of a study: which methods run on which scenario, with how many seeds and how much training."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.experiments.cells import Cell, make_cell
+from nfv_torchrl.scenario.scenario import Scenario
+
+World = dict[str, Any]
+"""The keys of a scenario's yaml, all of them."""
+PLACES = {"nodes": ("substrate", "nodes")}
+"""Where a changed value is, if not at the top."""
+AGENT = "dqn_ar"
+
+
+class Study:
+    """Makes cells from the config of ``recipes/figures.py``.
+
+    Attributes:
+        base: the scenario from which sweeps start.
+        budget: the numbers of ``config/budget``.
+        planners: methods that need no training, by name.
+        trained: methods that do, by name.
+        seeds: workload seeds.
+    """
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self.base: World = config["scenario"]
+        self.budget: dict[str, Any] = config["budget"]
+        self.planners: dict[str, Any] = config["method"]
+        self.trained: dict[str, Any] = config["trained"]
+        self.rewards: dict[str, Any] = config["rewards"]
+        self.colocations: list[bool] = config["colocation"]
+        self.seeds = list(range(self.budget["seeds"]))
+        self._rho: dict[str, float] = {}
+
+    def world(self, **changes: Any) -> World:
+        """The base scenario with ``changes`` (``nodes`` is the substrate's).
+
+        Raises:
+            ScenarioError: the number of nodes shall change, but the network is a given one.
+        """
+        given = next((key for key in ("path", "generator") if self.base["substrate"][key] is not None), None)
+        if "nodes" in changes and given is not None:
+            raise ScenarioError(f"substrate.{given}: the figures over N draw random networks; leave it null for them")
+        world = copy.deepcopy(self.base)
+        for key, value in changes.items():
+            place = world
+            for step in PLACES.get(key, (key,))[:-1]:
+                place = place[step]
+            place[PLACES.get(key, (key,))[-1]] = value
+        return world
+
+    def rho(self, world: World) -> float:
+        """Offered load of a scenario."""
+        key = json.dumps(world, sort_keys=True)
+        if key not in self._rho:
+            self._rho[key] = Scenario.from_config(world).offered_load()
+        return self._rho[key]
+
+    def methods(self, world: World) -> list[str]:
+        """The methods compared on a scenario; trained ones only with the colocation that the budget trains for."""
+        trained = self.trained if world["colocation"] in self.budget["trained_colocation"] else ()
+        return [*trained, *self.planners]
+
+    def evaluations(self, world: World) -> dict[str, Cell]:
+        """An evaluation of every method on a scenario."""
+        return {name: self.evaluation(name, world) for name in self.methods(world)}
+
+    def evaluation(self, name: str, world: World, reward: Sequence[str] | None = None) -> Cell:
+        """A method on all seeds of a scenario; ``reward``: see :meth:`training`."""
+        return self._run("evaluation", name, world, self.seeds, reward)
+
+    def timing(self, name: str, world: World) -> Cell:
+        """A method's decision time, on scenarios cut short. A trained method has the policy of the whole horizon."""
+        options = self.budget["timing"]
+        short = world | {"horizon": min(world["horizon"], options["horizon"])}
+        return self._run("timing", name, short, list(range(options["seeds"])), None, trained_on=world)
+
+    def bound(self, world: World) -> Cell:
+        """Upper bounds on AAR."""
+        return make_cell("bound", _label("bound", world), {"scenario": world, "seeds": self.seeds})
+
+    def presence(self, world: World, slots: Sequence[int]) -> Cell:
+        """How long users stay."""
+        spec = {"scenario": world, "seeds": self.seeds, "slots": list(slots)}
+        return make_cell("presence", _label("presence", world), spec)
+
+    def training(self, name: str, world: World, reward: Sequence[str] | None = None, seed: int = 0) -> Cell:
+        """The training of a method on a scenario.
+
+        Args:
+            name: one of ``trained``.
+            world: the scenario.
+            reward: overrides of the recipe that say what is rewarded, for the agent; by default those of its default
+                reward.
+            seed: of the training.
+        """
+        method = self.trained[name]
+        overrides = [*method["overrides"], f"seed={seed}"]
+        if name == AGENT:
+            overrides += self.reward("default") if reward is None else reward
+        spec = {
+            "recipe": method["recipe"],
+            "policy": method["policy"],
+            "overrides": sorted(overrides),
+            "scenario": world,
+        }
+        return make_cell("training", _label(f"train_{name}", world), spec)
+
+    def reward(self, name: str, w_cost: float | None = None) -> list[str]:
+        """The overrides of one of ``rewards``, with its own cost weight or another."""
+        reward = self.rewards[name]
+        return [*reward["overrides"], f"reward.w_cost={float(reward['w_cost'] if w_cost is None else w_cost)}"]
+
+    def about(self) -> str:
+        """What every title says: the effort behind the figure."""
+        frames = ", ".join(f"{show(name)} {n:,}" for name, n in self.budget["frames"].items() if name in self.trained)
+        seeds = f"{len(self.seeds)} workload seeds" if len(self.seeds) > 1 else "1 workload seed"
+        seen = "seen" if self.base["observe_lifetime"] else "hidden"
+        trained = f", training frames: {frames}" if frames else ""
+        return (
+            f"{self.budget['name']} budget: {seeds}, scenario seed {self.base['seed']}{trained}; "
+            f"T = {self.base['horizon']} s, lifetimes {seen}"
+        )
+
+    def _run(
+        self,
+        kind: str,
+        name: str,
+        world: World,
+        seeds: Sequence[int],
+        reward: Sequence[str] | None,
+        trained_on: World | None = None,
+    ) -> Cell:
+        alone = kind == "timing"
+        label = _label(name if kind == "evaluation" else f"{kind}_{name}", world)
+        if name in self.planners:
+            spec = {"scenario": world, "seeds": list(seeds), "method": self.planners[name], "training": None}
+            return make_cell(kind, label, spec, alone=alone)
+        run = self.training(name, trained_on or world, reward)
+        method = {**self.trained[name]["method"], "name": name}
+        spec = {"scenario": world, "seeds": list(seeds), "method": method, "training": run.spec}
+        return make_cell(kind, label, spec, [run], alone=alone)
+
+
+LABELS = {"dqn_ar": "DQN-AR", "nfvdeep": "NFVdeep"}
+
+
+def show(name: str) -> str:
+    """What figures call a method."""
+    return LABELS.get(name, name)
+
+
+def _label(name: str, world: World) -> str:
+    substrate = world["substrate"]
+    where = f"N{substrate['nodes']}" if substrate["path"] is None else str(substrate["path"]).replace("/", "_")
+    colocation = "_coloc" if world["colocation"] else ""
+    label = f"{name}_{where}_l{world['arrival_rate']:g}_m{world['mean_lifetime']:g}{colocation}"
+    return label.replace(".", "p")  # it becomes the name of a config too

@@ -1,0 +1,74 @@
+"""A metric of every method against one parameter of the scenario, colocation off and on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from nfv_torchrl.experiments.cells import Cell, CellStore
+from nfv_torchrl.experiments.drawing import Drawn, panel_figure
+from nfv_torchrl.experiments.rows import Rows, bound_rows, method_row, paired_rows
+from nfv_torchrl.experiments.study import Study, World
+
+METRICS = {"aar": "AAR", "anuc": "ANUC ($)"}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A figure of ``metric`` over ``parameter``.
+
+    Attributes:
+        metric: ``aar`` or ``anuc``.
+        parameter: what changes from point to point (``arrival_rate``, ``mean_lifetime`` or ``nodes``).
+        points: key of the budget with its values.
+        at: key of the budget with what else differs from the base scenario, if anything.
+        label: of the horizontal axis.
+    """
+
+    metric: str
+    parameter: str
+    points: str
+    label: str
+    at: str | None = None
+
+    def cells(self, study: Study) -> list[Cell]:
+        found: list[Cell] = []
+        for colocation in study.colocations:
+            for world in self._worlds(study, colocation).values():
+                found += study.evaluations(world).values()
+                found += [study.bound(world)] if self.metric == "aar" else []
+        return found
+
+    def draw(self, study: Study, store: CellStore) -> Drawn:
+        rows: Rows = []
+        paired: Rows = []
+        for colocation in study.colocations:
+            for x, world in self._worlds(study, colocation).items():
+                cells = study.evaluations(world)
+                rows += [method_row(store, cell, name, x, self.metric, world) for name, cell in cells.items()]
+                rows += bound_rows(store, study.bound(world), x, world) if self.metric == "aar" else []
+                paired += paired_rows(store, cells, x, world, study)
+        ticks = {x: f"{x:g}\nρ {study.rho(world):.2f}" for x, world in self._worlds(study, False).items()}
+        figure = panel_figure(
+            rows,
+            title=f"{METRICS[self.metric]} over {self.label}{self._fixed(study)}\n{study.about()}",
+            x_label=self.label,
+            y_label=METRICS[self.metric],
+            ticks=ticks,
+        )
+        return Drawn(figure, rows, paired)
+
+    def _worlds(self, study: Study, colocation: bool) -> Mapping[float, World]:
+        at: dict[str, Any] = study.budget[self.at] if self.at else {}
+        points = study.budget[self.points]
+        return {x: study.world(**{**at, self.parameter: x, "colocation": colocation}) for x in points}
+
+    def _fixed(self, study: Study) -> str:
+        world = next(iter(self._worlds(study, False).values()))
+        fixed = {
+            "nodes": f"N = {world['substrate']['nodes']}",
+            "arrival_rate": f"λ = {world['arrival_rate']:g}/s",
+            "mean_lifetime": f"μ = {world['mean_lifetime']:g} s",
+        }
+        return ", " + ", ".join(text for key, text in fixed.items() if key != self.parameter)

@@ -1,0 +1,167 @@
+"""How each kind of cell is computed: from its spec to its result, plain values for a JSON file."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nfv_torchrl.evaluation.audit import audit_run
+from nfv_torchrl.evaluation.methods import Method, methods_from_config
+from nfv_torchrl.evaluation.metrics import compute_metrics
+from nfv_torchrl.evaluation.records import RunRecord, write_run
+from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.experiments.cells import Cell, CellStore
+from nfv_torchrl.experiments.training import run_folder, train
+from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
+from nfv_torchrl.rewards import cost_scale
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.tables import build_tables
+
+Result = dict[str, Any]
+
+
+def work(cell: Cell, store: CellStore) -> None:
+    """Compute a cell whose needs are there, and keep its result."""
+    store.write(cell, WORK[cell.kind](cell, store))
+
+
+def evaluate(cell: Cell, store: CellStore) -> Result:
+    """A method on the workloads of some seeds: the metrics of each run, all audited.
+
+    Beside them: ``mean_steps`` of accepted requests, ``paper_reward``, what eq. reward_f with both weights 1 pays in
+    all for an accepted request, and ``frames``, the decisions of the whole horizon.
+
+    Raises:
+        AuditError: the audit found something.
+    """
+    spec = cell.spec
+    scenario = Scenario.from_config(spec["scenario"])
+    method = _Counted(_method(cell, store, scenario))
+    records = run_method(scenario, method, spec["seeds"])
+    metrics = {}
+    for record, frames in zip(records, method.frames, strict=True):
+        metrics[str(record.workload_seed)] = {**_audited(record), **_walks(record), "frames": int(frames)}
+    _write_costs(store.path(cell).with_suffix(".npz"), records)
+    return {"rho": scenario.offered_load(), "metrics": metrics}
+
+
+def bound(cell: Cell, store: CellStore) -> Result:
+    """Upper bounds on AAR of every seed; ``blind`` only where methods do not see lifetimes."""
+    scenario = Scenario.from_config(cell.spec["scenario"])
+    blind = scenario.workload_path is None and not scenario.observe_lifetime
+    bounds: dict[str, dict[str, float]] = {kind: {} for kind in ("hindsight", "blind")[: 1 + blind]}
+    for seed in cell.spec["seeds"]:
+        workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
+        bounds["hindsight"][str(seed)] = hindsight_bound(scenario, workload, timeline).aar
+        if blind:
+            bounds["blind"][str(seed)] = blind_bound(scenario, workload, timeline).aar
+    return {"rho": scenario.offered_load(), "bounds": bounds}
+
+
+def presence(cell: Cell, store: CellStore) -> Result:
+    """Share of the users of every seed's workload who are still there some slots after they came."""
+    scenario = Scenario.from_config(cell.spec["scenario"])
+    shares = {}
+    for seed in cell.spec["seeds"]:
+        workload = scenario.workload(seed)
+        stay = np.sort(workload.departure - workload.slot)
+        gone = np.searchsorted(stay, cell.spec["slots"], side="right")
+        shares[str(seed)] = (1 - gone / len(stay)).tolist()
+    return {"shares": shares}
+
+
+def timing(cell: Cell, store: CellStore) -> Result:
+    """Seconds per request of a method that decides for one network at a time, for every seed."""
+    scenario = Scenario.from_config(cell.spec["scenario"])
+    method = _method(cell, store, scenario)
+    seconds = {}
+    for seed in cell.spec["seeds"]:
+        (record,) = run_method(scenario, method, [seed])
+        _audited(record)
+        seconds[str(seed)] = record.seconds / max(record.num_requests, 1)
+    return {"rho": scenario.offered_load(), "seconds_per_request": seconds}
+
+
+WORK: dict[str, Callable[[Cell, CellStore], Result]] = {
+    "evaluation": evaluate,
+    "bound": bound,
+    "presence": presence,
+    "timing": timing,
+    "training": train,
+}
+
+
+class _Counted:
+    """A method, and how many decisions each environment asked it for."""
+
+    def __init__(self, method: Method) -> None:
+        self.method = method
+        self.name, self.mask, self.one_hot = method.name, method.mask, method.one_hot
+        self.decides_admission = method.decides_admission
+
+    def prepare(self, simulator: Simulator, seeds: Any) -> None:
+        self.method.prepare(simulator, seeds)
+        self.frames = np.zeros(simulator.batch_size, np.int64)
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        self.frames += simulator.world.env["done"] == 0
+        return self.method.act(simulator)
+
+
+def _method(cell: Cell, store: CellStore, scenario: Scenario) -> Method:
+    """The method of a cell; a trained one with its policy file, which is in the folder of the run that it needs."""
+    spec = cell.spec
+    config = dict(spec["method"])
+    if spec.get("training") is not None:
+        (run,) = cell.needs
+        config["path"] = str(run_folder(run, store) / spec["training"]["policy"])
+    (method,) = methods_from_config({"method": config}, scenario)
+    return method
+
+
+def _audited(record: RunRecord) -> dict[str, float]:
+    """The metrics of a run that was written to files and recomputed from them."""
+    metrics = compute_metrics(record)
+    with tempfile.TemporaryDirectory(prefix="cell_") as temporary:
+        folder = Path(temporary) / record.method / f"seed_{record.workload_seed}"
+        write_run(folder, record, metrics)
+        audit_run(folder).raise_if_problems()
+    return metrics
+
+
+def _walks(record: RunRecord) -> dict[str, float]:
+    mine = record.accepted & (record.workload.slot >= record.scenario.warmup)
+    steps = np.diff(record.step_offsets)[mine]
+    tables = build_tables([record.scenario.substrate], record.scenario.catalogue)
+    reference = cost_scale(tables, np.zeros(1, np.int64)).step[0]
+    if not steps.size:
+        return {"mean_steps": float("nan"), "paper_reward": float("nan")}
+    return {
+        "mean_steps": float(steps.mean()),
+        "paper_reward": float((steps - record.cost[mine] / reference).mean()),
+    }
+
+
+def _write_costs(path: Path, records: list[RunRecord]) -> None:
+    """What every request cost ($, NaN if rejected or in the warm-up), to compare methods request by request."""
+    costs = {
+        str(record.workload_seed): np.where(
+            record.accepted & (record.workload.slot >= record.scenario.warmup), record.cost, np.nan
+        ).astype(np.float32)
+        for record in records
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.partial.npz")
+    np.savez_compressed(partial, **costs)  # type: ignore[arg-type]
+    partial.replace(path)
+
+
+def read_costs(cell: Cell, store: CellStore) -> Mapping[str, np.ndarray]:
+    """By seed, float32 [R]: what every request cost in an evaluation ($, NaN if rejected or in the warm-up)."""
+    with np.load(store.path(cell).with_suffix(".npz")) as arrays:
+        return {seed: arrays[seed] for seed in arrays.files}

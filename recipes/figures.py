@@ -1,0 +1,85 @@
+"""Reproduce every figure of the paper: methods on the same requests, agents trained for each scenario, all audited.
+
+    python recipes/figures.py                                  # all figures, a preview within 15 minutes on two cores
+    python recipes/figures.py budget=full output=runs/full     # the paper's ranges, ten workload seeds
+    python recipes/figures.py figure=[aar_vs_nodes,anuc_vs_nodes]
+
+Writes OUTPUT/NAME.png, .pdf and .csv for each figure, and OUTPUT/cells/*.json, from which they are drawn: a cell is
+one method on one scenario (or a training run, a bound), shared by the figures that show it. What is there is not
+computed again, so the same command goes on after an interruption. An agent is trained for one scenario, that is for the
+network and endpoints of scenario.seed, and meets workload seeds it never saw. All keys: config/figures.yaml.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+from tqdm import tqdm
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.experiments.catalogue import chosen
+from nfv_torchrl.experiments.cells import Cell, CellStore, with_needs
+from nfv_torchrl.experiments.drawing import Experiment
+from nfv_torchrl.experiments.pool import compute
+from nfv_torchrl.experiments.study import Study
+from nfv_torchrl.training.cli import check_keys, clear_errors
+from nfv_torchrl.training.logger import RunLogger
+
+KEYS = ("scenario", "method", "budget", "figure", "output", "jobs", "colocation", "trained", "rewards")
+
+
+@hydra.main(config_path="config", config_name="figures", version_base=None)
+@clear_errors
+def main(cfg: DictConfig) -> None:
+    config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
+    check_keys(config, KEYS)
+    if cfg.jobs < 1:
+        raise ScenarioError(f"jobs: {cfg.jobs}; at least one process is needed")
+    study = Study(config)
+    figures = chosen(config["figure"])
+    store = CellStore(cfg.output, Path(__file__).parent)
+    failures = compute_all(figures, study, store, cfg.jobs)
+    draw_all(figures, study, store, failures)
+    if failures:
+        print("\n".join([f"\n{len(failures)} cells failed:", *(f"  {key}: {why}" for key, why in failures.items())]))
+        sys.exit(1)
+
+
+def compute_all(figures: Mapping[str, Experiment], study: Study, store: CellStore, jobs: int) -> dict[str, str]:
+    """Compute what the store lacks, under a progress bar; returns what failed."""
+    cells = with_needs(cell for figure in figures.values() for cell in figure.cells(study))
+    lacking = [cell for cell in cells if not store.has(cell)]
+    training = sum(cell.kind == "training" for cell in lacking)
+    print(f"{len(cells)} cells, {len(cells) - len(lacking)} of them there already, {training} training runs to do.")
+    if not lacking:
+        return {}
+    with tqdm(total=len(cells), initial=len(cells) - len(lacking), unit="cell", disable=None) as bar:
+
+        def report(cell: Cell, atwork: list[Cell]) -> None:
+            bar.update()
+            bar.set_postfix_str(", ".join(other.label for other in atwork))
+
+        return compute(cells, store, jobs=jobs, report=report)
+
+
+def draw_all(figures: Mapping[str, Experiment], study: Study, store: CellStore, failures: Mapping[str, str]) -> None:
+    """Draw every figure whose cells are there, into files and for TensorBoard."""
+    logger = RunLogger(store.folder)
+    for name, figure in tqdm(figures.items(), desc="figures", disable=None):
+        if any(cell.key in failures for cell in figure.cells(study)):
+            print(f"{name}: not drawn, some of its cells failed")
+            continue
+        drawn = figure.draw(study, store)
+        drawn.save(store.folder / name)
+        logger.figure(name, drawn.figure, 0)
+    logger.close()
+    print(f"Figures: {store.folder}\nTensorBoard: tensorboard --logdir {store.folder}")
+
+
+if __name__ == "__main__":
+    main()
