@@ -128,8 +128,9 @@ class NFVdeepPlanner:
         while waiting.size:
             choose_rows(tables, rules, waiting, *world, self._ask(drafts, waiting))
             waiting = waiting[drafts.state[waiting] == OPEN]
-        plans[rows] = drafts.action[rows]
         lengths[rows] = np.where(drafts.state[rows] == COMPLETE, drafts.steps[rows], 0)
+        within = np.arange(plans.shape[1]) < lengths[rows, None]
+        plans[rows] = np.where(within, drafts.action[rows], plans[rows])
 
     def _ask(self, drafts: Drafts, rows: np.ndarray) -> np.ndarray:
         """The policy's choice for each of ``rows``."""

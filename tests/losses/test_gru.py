@@ -82,7 +82,7 @@ def test_the_loss_by_hand(double):
     loss = make(double=double)
     out = loss(loss.prepare(collected(masks=MASKS)))
     # The memory is 11, 13, 16, 20. Chosen: 11 * 1, 13 * 2, 16 * 1.
-    # Next: online prefers action 2 of 0, 1, 2 (target value 13 * 0.5), the target action 0 (13 * 2); then 16 * 2, 20 * 1.
+    # Next: of 0, 1, 2 online prefers action 2 (target value 13 * 0.5), the target action 0 (13 * 2); then 16 * 2, 20.
     first = 13 * (0.5 if double else 2)
     errors = [11 - (0.5 + 0.9 * first), 26 - (0.25 + 0.9 * 32), 16 - (1 + 0.9 * 20)]
     assert out["loss"].item() == pytest.approx(np.square(errors).mean())
