@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import hydra
 import numba
@@ -61,7 +61,7 @@ Row = dict[str, Any]
 @hydra.main(config_path="config", config_name="benchmark", version_base=None)
 @clear_errors
 def main(cfg: DictConfig) -> None:
-    config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
+    config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
     check_keys(config, KEYS)
     unknown = [part for part in config["parts"] if part not in PARTS]
     if unknown:

@@ -15,7 +15,7 @@ import contextlib
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
@@ -39,7 +39,7 @@ KEYS = ("scenario", "method", "checkpoint", "seeds", "output", "reference", "bou
 @hydra.main(config_path="config", config_name="evaluate", version_base=None)
 @clear_errors
 def main(cfg: DictConfig) -> None:
-    config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
+    config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
     check_keys(config, KEYS)
     set_threads(cfg.threads)
     scenario = Scenario.from_config(config["scenario"])
