@@ -49,7 +49,13 @@ def main(cfg: DictConfig) -> None:
     loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
     method = PlannerMethod(planner.follow(loss.actor), name="nfvdeep")
     env = NFVdeepEnv(
-        scenario, cfg.collector.num_envs, planner=planner, stagger=cfg.stagger, seed=cfg.seed, **cfg.reward
+        scenario,
+        cfg.collector.num_envs,
+        planner=planner,
+        stagger=cfg.stagger,
+        segment=cfg.segment,
+        seed=cfg.seed,
+        **cfg.reward,
     )
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 

@@ -53,6 +53,7 @@ def main(cfg: DictConfig) -> None:
         one_hot=cfg.one_hot,
         observations=q_network(loss).observations(),
         stagger=cfg.stagger,
+        segment=cfg.segment,
         seed=cfg.seed,
         threads=cfg.env_threads,
     )

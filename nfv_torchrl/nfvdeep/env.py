@@ -28,7 +28,7 @@ class NFVdeepEnv(NFVEnv):
         batch_size: B.
         planner: how plans are made of decisions.
         markup, relative: see ``Profit``.
-        stagger, seed: as for ``NFVEnv``.
+        stagger, segment, seed: as for ``NFVEnv``.
 
     Keys: those of ``NFVEnv`` but for (shapes after the batch dimension)
         ``observation`` float32 [4 N + 4]: free VM capacity of each node and free capacity of its links, less what the
@@ -47,12 +47,15 @@ class NFVdeepEnv(NFVEnv):
         markup: float = 4.0,
         relative: bool = False,
         stagger: bool = False,
+        segment: int | None = None,
         seed: int = 0,
     ) -> None:
         scenarios = (scenarios,) if isinstance(scenarios, Scenario) else scenarios
         self.planner = planner or NFVdeepPlanner()
         scenarios = [scenario.replace(admission_control=True) for scenario in scenarios]
-        super().__init__(scenarios, batch_size, one_hot=False, observations=(), stagger=stagger, seed=seed)
+        super().__init__(
+            scenarios, batch_size, one_hot=False, observations=(), stagger=stagger, segment=segment, seed=seed
+        )
         self.reward = Profit(self.simulator, markup=markup, relative=relative)
 
     @property
