@@ -239,6 +239,19 @@ def test_no_field_can_be_changed(kept_run, line, data, value):
         write_decisions(kept_run, original)
 
 
+def test_a_function_beyond_the_chain_is_found(kept_run):
+    original, decisions = read_decisions(kept_run), read_decisions(kept_run)
+    steps = decisions[0]["steps"]
+    placed = [step[2] for step in steps if step[2] is not None]
+    last_place = max(place for place, step in enumerate(steps) if step[2] is not None)
+    steps[last_place + 1][2] = len(placed)  # a forwarding step claims the function after the last
+    try:
+        write_decisions(kept_run, decisions)
+        assert any("all functions are placed" in problem for problem in audit_run(kept_run).problems)
+    finally:
+        write_decisions(kept_run, original)
+
+
 @given(line=st.integers(0, 8), data=st.data(), value=junk)
 def test_no_step_can_be_changed(kept_run, line, data, value):
     original = read_decisions(kept_run)

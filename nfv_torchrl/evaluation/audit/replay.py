@@ -324,7 +324,7 @@ class _Replay:
             return f"leaves the egress {node}, where the walk has to end"
         if to != node and (min(node, to), max(node, to)) not in self.files.links:
             return f"there is no link between {node} and {to}"
-        if function is not None and function != placed:
+        if function is not None and (function != placed or placed == chain):
             expected = f"function {placed} is next" if placed < chain else "all functions are placed"
             return f"places function {function}, but {expected}"
         return None
