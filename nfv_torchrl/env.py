@@ -13,6 +13,7 @@ from torchrl.envs import EnvBase
 from nfv_torchrl import rewards
 from nfv_torchrl.errors import CheckpointError, ScenarioError
 from nfv_torchrl.observations import MemoryObservation, ObservationPart, RequestObservation, read_observation
+from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.simulator import OUTCOME, Simulator
@@ -33,7 +34,7 @@ class NFVEnv(EnvBase):
         reward: see ``nfv_torchrl.rewards``; default ``admission_step_cost``.
         one_hot: append one-hot service type, current node, egress and function index to ``observation``.
         observations: further keys to emit; default the request's own numbers under ``request``.
-        stagger: horizons begin at a random slot, on a network loaded by a quick compiled rule with tastes of its own.
+        stagger: horizons begin at a random slot, on a network loaded by the exact search at noisy prices.
         segment: with ``stagger``, slots after which an environment leaves its horizon (``done``, not ``terminated``)
             for a new one at another random slot, so that learning sees many loads in little time; None: never.
         seed: first seed; ``set_seed`` sets another.
@@ -68,7 +69,7 @@ class NFVEnv(EnvBase):
         self.reward = reward or rewards.admission_step_cost
         self.cost_scale = rewards.cost_scale(self.simulator.tables, self.simulator.world.env["net"])
         self.parts = (RequestObservation(),) if observations is None else tuple(observations)
-        self.stagger = stagger
+        self._loader = Loader(self.simulator) if stagger else None
         if segment is not None and (segment < 1 or not stagger):
             raise ScenarioError(f"segment is {segment}; it needs stagger and must be at least 1 slot, or null")
         self.segment = segment
@@ -171,17 +172,14 @@ class NFVEnv(EnvBase):
         for b in rows.tolist():
             self._episode[b] += 1
             episode = int(self._episode[b])
-            start_slot, taste = self._random_start(b, episode) if self.stagger else (0, None)
-            self.simulator.start(b, *self._arrivals(b, episode), start_slot=start_slot, taste=taste)
-            self._leave_at[b] = start_slot + (self.segment or 0)
+            self.simulator.start(b, *self._arrivals(b, episode))
+            if self._loader is not None:
+                rng = generator(self._seed, Stream.START, b, episode)
+                start_slot = int(rng.integers(self.simulator.scenario(b).horizon))
+                self._loader.forward(b, start_slot, rng)
+                self._leave_at[b] = start_slot + (self.segment or 0)
         for memory in self._memories():
             memory.forget(rows, self.batch_size[0])
-
-    def _random_start(self, b: int, episode: int) -> tuple[int, np.ndarray]:
-        """A slot to begin at, and by which taste the VMs are filled until then."""
-        rng = generator(self._seed, Stream.START, b, episode)
-        shape = self.simulator.world.ledger.vm_offered.shape[1:]
-        return int(rng.integers(self.simulator.scenario(b).horizon)), np.exp(rng.normal(0.0, 0.3, shape))
 
     def _arrivals(self, b: int, episode: int):
         scenario = self.simulator.scenario(b)

@@ -40,6 +40,7 @@ from nfv_torchrl.evaluation.methods import methods_from_config
 from nfv_torchrl.evaluation.runner import scenario_for
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.files import write_atomically
+from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator, kernels
 from nfv_torchrl.simulator.state import REQUEST_DONE, grow_pools
@@ -113,10 +114,12 @@ def slots_for(config: dict[str, Any], nodes: int, steps: int) -> int:
 
 
 def load_networks(simulator: Simulator, slot: int, different: int = DIFFERENT) -> None:
-    """Bring all environments to ``slot``: the first ``different`` by a quick compiled rule, the others as copies."""
+    """Bring all environments to ``slot``: the first ``different`` by the exact search, the others as copies."""
+    loader = Loader(simulator)
     for b in range(min(different, simulator.batch_size)):
         scenario = simulator.scenario(b)
-        simulator.start(b, scenario.workload(b), scenario.failure_timeline(b), start_slot=slot)
+        simulator.start(b, scenario.workload(b), scenario.failure_timeline(b))
+        loader.forward(b, slot, np.random.default_rng(b))
     simulator.world = grow_pools(simulator.world)  # kernels.random_steps does not stop to grow them
     world = simulator.world
     origin = np.arange(different, simulator.batch_size) % different

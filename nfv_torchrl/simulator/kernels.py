@@ -605,55 +605,6 @@ def start_env(world, b):
     _next_request(world, b)
 
 
-@njit(cache=True, _nrt=False)
-def thrifty_action(world, b, taste):
-    """A quick sensible rule: of the steps that pass, the one with the least cost now plus cheapest links still to go.
-
-    Functions not placed yet are counted at the network's mean VM unit cost, so that a VM cheaper than that is taken
-    on the way. ``taste`` float64 [N, V] multiplies the VMs' unit costs, so that networks can be loaded in different
-    ways. Used for staggered starts, not as a method of its own.
-    """
-    tables, e = world.tables, world.env[b]
-    vms = world.ledger.vm_offered.shape[2]
-    reject = world.seen.mask.shape[1] - 1
-    service = e.service
-    egress = e.egress
-    rate = tables.rate[service]
-    best = np.int64(reject)
-    best_score = np.inf
-    for k in range(e.mask_count):
-        action = np.int64(world.seen.valid[b, k])
-        if action == reject:
-            continue
-        node, vm, place = action // (2 * vms), (action // 2) % vms, action % 2 == 1
-        link = np.int64(-1) if node == e.node else _find_link(tables, e.net, e.node, node)
-        if not _is_feasible(world, b, service, egress, link, node, vm, place):
-            continue
-        score = rate * tables.link_cost_to[e.net, node, egress]
-        if link >= 0:
-            score += rate * tables.link_unit_cost[e.net, link]
-        if place:
-            saved = tables.vm_unit_cost[e.net, node, vm] * taste[node, vm] - tables.mean_vm_cost[e.net]
-            score += saved * tables.load[service, e.function]
-        if score < best_score:
-            best, best_score = action, score
-    return best
-
-
-@njit(cache=True, nogil=True, _nrt=False)
-def forward_env(world, b, slot, taste):
-    """Play ``thrifty_action`` in environment b until ``slot``, or until room runs low. Returns True if it arrived."""
-    e = world.env[b]
-    steps = world.rules.max_steps
-    while e.slot < slot and e.done == 0:
-        if e.free_records < 1 or e.free_entries < 2 * steps:
-            return False
-        if world.log.enabled and world.log.action.shape[1] - e.log_length < steps:
-            return False
-        step_env(world, b, thrifty_action(world, b, taste))
-    return True
-
-
 @njit(cache=True, nogil=True, _nrt=False)
 def random_steps(world, steps, seeds):
     """Benchmark: ``steps`` uniformly random valid actions in every environment; ``seeds`` uint64 [B] is advanced.

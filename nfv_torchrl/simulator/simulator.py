@@ -110,34 +110,28 @@ class Simulator:
         """The scenario of environment b."""
         return self.scenarios[b % len(self.scenarios)]
 
-    def start(
-        self,
-        b: int,
-        workload: Workload,
-        timeline: FailureTimeline | None = None,
-        *,
-        start_slot: int = 0,
-        taste: np.ndarray | None = None,
-    ) -> None:
+    def start(self, b: int, workload: Workload, timeline: FailureTimeline | None = None) -> None:
         """Begin the horizon of environment b on an empty network.
 
         Args:
             workload: its requests; none at all is an horizon that is over at once.
             timeline: failures and repairs, none by default.
-            start_slot: play a quick compiled rule until this slot first, so that the network is loaded.
-            taste: float64 [N, V], what that rule multiplies VM unit costs by, default 1.
         """
         self.load_arrivals(b, workload, timeline)
         if self.world.log.enabled:
             clear_log(self.world.log, b)
         kernels.start_env(self.world, b)
-        self.make_room(*self._room(b))
-        if taste is None:
-            taste = np.ones(self.world.ledger.vm_offered.shape[1:])
-        while not kernels.forward_env(self.world, b, start_slot, taste):
-            self.make_room(*self._room(b))
+        self.make_room_for(b)
+        self.clear_outcome(b)
+
+    def clear_outcome(self, b: int) -> None:
+        """Forget what the last step of environment b brought."""
         self.world.outcome[b] = 0.0
         self.world.outcome[b, REASON] = NO_REASON
+
+    def make_room_for(self, b: int) -> None:
+        """Enlarge the pools if environment b runs low, after steps that were not made by ``step``."""
+        self.make_room(*self._room(b))
 
     def step(self, actions: np.ndarray) -> None:
         """One step of every environment; one past its horizon stays there.

@@ -60,7 +60,6 @@ class Tables(NamedTuple):
     link_cost_to: np.ndarray  # float64 [S, N, N], $ per Mbit/s: least sum of link unit costs
     vm_total: np.ndarray  # int64 [S], all VM capacity
     link_total: np.ndarray  # int64 [S], all link capacity
-    mean_vm_cost: np.ndarray  # float64 [S], mean unit cost over the VMs
 
 
 def build_tables(substrates: Sequence[Substrate], catalogue: ServiceCatalogue) -> Tables:
@@ -101,7 +100,6 @@ def build_tables(substrates: Sequence[Substrate], catalogue: ServiceCatalogue) -
         link_cost_to=np.full((count, nodes, nodes), np.inf),
         vm_total=np.zeros(count, np.int64),
         link_total=np.zeros(count, np.int64),
-        mean_vm_cost=np.zeros(count),
     )
     for row, substrate in enumerate(substrates):
         _fill_row(tables, row, substrate)
@@ -121,7 +119,6 @@ def _fill_row(tables: Tables, row: int, substrate: Substrate) -> None:
     tables.link_unit_cost[row, :links] = substrate.link_unit_cost
     tables.vm_total[row] = tables.vm_capacity[row].sum()
     tables.link_total[row] = tables.link_capacity[row].sum()
-    tables.mean_vm_cost[row] = substrate.vm_unit_cost[exists].mean()
     _fill_neighbours(tables, row, substrate)
     for service, rate in enumerate(tables.rate):
         hop = substrate.link_delay + 1000.0 * rate / substrate.link_capacity

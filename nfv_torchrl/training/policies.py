@@ -116,14 +116,18 @@ def q_network(loss: Any) -> QNetwork:
     raise CheckpointError("the loss's actor holds no QNetwork; derive the network from nfv_torchrl.networks.QNetwork")
 
 
-def _check_target(path: Any, config: Mapping[str, Any], trusted_packages: Sequence[str]) -> None:
+def _check_target(path: Any, config: Any, trusted_packages: Sequence[str]) -> None:
     """Refuse a config that would call anything outside the trusted packages, at any depth."""
-    target = config.get("_target_", "")
+    if isinstance(config, list | tuple):
+        for item in config:
+            _check_target(path, item, trusted_packages)
+    if not isinstance(config, Mapping):
+        return
+    target = str(config.get("_target_", ""))
     if target and target.split(".")[0] not in {"nfv_torchrl", *trusted_packages}:
         raise CheckpointError(
             f"{path} asks for {target}, which is not part of this project; if you trust it, name its package in "
             "trusted_packages"
         )
     for value in config.values():
-        if isinstance(value, Mapping):
-            _check_target(path, value, trusted_packages)
+        _check_target(path, value, trusted_packages)

@@ -7,6 +7,7 @@ from driving import assert_books_balance, begin, mask_of, outcome_of, play
 from strategies import Instance
 from toy import DUO, REJECT, SOLO, action, toy_catalogue, toy_scenario, workload_of
 
+from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.units import LEDGER_UNITS
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.reasons import Reason
@@ -204,12 +205,14 @@ def test_no_requests():
 def test_a_later_start_is_on_a_loaded_network():
     requests = [(slot, DUO, 0, 3, 3.0) for slot in range(6)]
     simulator = Simulator(toy_scenario(), 1, record=True)
-    simulator.start(0, workload_of(*requests), start_slot=4)
+    simulator.start(0, workload_of(*requests))
+    loader = Loader(simulator)
+    loader.forward(0, 4, np.random.default_rng(0))
     e = simulator.world.env[0]
     assert (e["slot"], e["cursor"]) == (4, 4)
     assert e["num_running"] > 0
     assert_books_balance(simulator)
     assert simulator.world.log.start[0, 4] == e["log_length"]
     # Past the end: the horizon is over.
-    simulator.start(0, workload_of(*requests), start_slot=99)
+    loader.forward(0, 99, np.random.default_rng(0))
     assert simulator.world.env["done"][0] == 1

@@ -1,0 +1,82 @@
+"""Loads a network before learning begins on it: the exact search at noisy prices answers the requests until a slot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nfv_torchrl.planners.cheapest import grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.planners.compiled import kernel
+from nfv_torchrl.planners.walks import OVERFLOW
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.kernels import step_env
+
+ARRIVED, NO_ROOM = 0, 1
+PRICE_NOISE = 0.3
+"""Standard deviation of the logarithm of the factors on VM and link unit costs."""
+
+
+@kernel
+def forward_planned(world, b, slot, vm_price, link_price, scratch, plan):
+    """Answer requests of environment b by ``plan_cheapest`` until ``slot``.
+
+    Returns ARRIVED, NO_ROOM if the simulator's pools run low, or OVERFLOW if the scratch must grow.
+    """
+    e = world.env[b]
+    reject = world.seen.mask.shape[1] - 1
+    most = world.rules.max_steps
+    while e.slot < slot and e.done == 0:
+        if e.free_records < 1 or e.free_entries < 2 * most:
+            return NO_ROOM
+        if world.log.enabled and world.log.action.shape[1] - e.log_length < most:
+            return NO_ROOM
+        steps = plan_cheapest(
+            world.tables,
+            world.rules,
+            e.net,
+            world.ledger.vm_offered[b],
+            world.ledger.link_offered[b],
+            vm_price,
+            link_price,
+            e.service,
+            e.ingress,
+            e.egress,
+            scratch,
+            plan,
+        )
+        if steps == OVERFLOW:
+            return OVERFLOW
+        if steps == 0:
+            step_env(world, b, np.int64(reject))
+        for k in range(steps):
+            step_env(world, b, plan[k])
+    return ARRIVED
+
+
+class Loader:
+    """Brings environments of a simulator to a later slot, each by prices of its own.
+
+    The search accepts nearly whatever fits, so the loads are those that a good method leads to; the noise on the prices
+    fills other VMs and links each time.
+    """
+
+    def __init__(self, simulator: Simulator) -> None:
+        self.simulator = simulator
+        self._scratch = make_scratch(simulator.tables)
+        self._plan = np.zeros(simulator.world.rules.max_steps, np.int64)
+
+    def forward(self, b: int, slot: int, rng: np.random.Generator) -> None:
+        """Answer requests of environment b, whose horizon has begun, until ``slot`` or the horizon's end."""
+        tables, net = self.simulator.tables, self.simulator.world.env["net"][b]
+        vm_price = tables.vm_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.vm_unit_cost[net].shape))
+        link_price = tables.link_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.link_unit_cost[net].shape))
+        while True:
+            outcome = forward_planned(
+                self.simulator.world, b, slot, vm_price, link_price, self._scratch, self._plan
+            )
+            if outcome == ARRIVED:
+                break
+            if outcome == NO_ROOM:
+                self.simulator.make_room_for(b)
+            else:
+                self._scratch = grow_scratch(tables, self._scratch)
+        self.simulator.clear_outcome(b)
