@@ -13,6 +13,7 @@ from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 from torchrl.objectives import LossModule
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks import QNetwork
 
 
@@ -45,7 +46,12 @@ def greedy_actor(network: nn.Module, actions: int, in_keys: Sequence[NestedKey] 
     The mask goes into the actor, hence also into the target's maximum; the action spec is categorical, because one-hot
     actions turn into NaN where nothing is valid and pick several where values tie. ``in_keys``: those of the network
     unless given.
+
+    Raises:
+        ScenarioError: the network has a memory, which single transitions cannot train.
     """
+    if any(hasattr(module, "unroll") for module in network.modules()):
+        raise ScenarioError("a network with memory learns from sequences: use loss=recurrent_dqn, or preset=recurrent")
     keys = list(network.in_keys if in_keys is None else in_keys)  # type: ignore[arg-type]
     module = TensorDictModule(network, in_keys=keys, out_keys=["action_value"])
     return QValueActor(module, spec=Categorical(actions), action_space="categorical", action_mask_key="action_mask")

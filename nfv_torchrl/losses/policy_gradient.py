@@ -12,6 +12,7 @@ from torchrl.data import Categorical
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 from torchrl.objectives import LossModule, ValueEstimators
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
 
 LOWEST = torch.finfo(torch.float32).min
@@ -25,6 +26,8 @@ def masked_actor(network: QNetwork, actions: int) -> ProbabilisticActor:
     Reads the network's ``in_keys`` and ``action_mask``; writes ``logits`` float32 [..., A], ``action`` int64 [...] and
     ``action_log_prob`` float32 [...].
     """
+    if hasattr(network, "unroll"):
+        raise ScenarioError("network: one with memory cannot be a policy here; use network=mlp or network=candidate")
     module = TensorDictModule(network, in_keys=list(network.in_keys), out_keys=["logits"])
     return ProbabilisticActor(
         module,

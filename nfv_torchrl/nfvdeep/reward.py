@@ -28,8 +28,9 @@ class Profit:
 
     def __init__(self, simulator: Simulator, *, markup: float = 4.0, relative: bool = False) -> None:
         tables = simulator.tables
-        links = np.array([prices[:n].mean() for prices, n in zip(tables.link_unit_cost, tables.num_links, strict=True)])
-        vm_part = tables.mean_vm_cost[:, None] * tables.load.sum(axis=1)
+        vms = _mean_where(tables.vm_unit_cost, tables.vm_capacity > 0)
+        links = _mean_where(tables.link_unit_cost, tables.link_capacity > 0)
+        vm_part = vms[:, None] * tables.load.sum(axis=1)
         self.income = markup * (vm_part + links[:, None] * tables.rate)[simulator.world.env["net"]]
         self.scale = self.income if relative else np.broadcast_to(self.income.mean(1, keepdims=True), self.income.shape)
 
@@ -38,3 +39,9 @@ class Profit:
         rows, service = np.arange(len(self.income)), outcome["service"].astype(np.int64)
         profit = (self.income[rows, service] - outcome["request_cost"]) / self.scale[rows, service]
         return np.where(outcome["accepted"] > 0, profit, 0.0)
+
+
+def _mean_where(values: np.ndarray, exists: np.ndarray) -> np.ndarray:
+    """Mean over what exists of each substrate, [S, ...] to [S]."""
+    axes = tuple(range(1, values.ndim))
+    return (values * exists).sum(axis=axes) / exists.sum(axis=axes)

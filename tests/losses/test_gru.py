@@ -13,6 +13,8 @@ from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import PolicyMethod
 from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.losses import DQN
+from nfv_torchrl.losses.ppo import PPO
 from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
 from nfv_torchrl.networks import MLPNetwork, QNetwork, Sizes
 from nfv_torchrl.networks.gru import GRUNetwork
@@ -111,6 +113,12 @@ def test_burn_in_is_not_learned_from():
     assert out["loss"].item() == pytest.approx((16 - (1 + 0.9 * 20)) ** 2)
     with pytest.raises(ScenarioError, match="burn_in"):
         make(burn_in=3).prepare(collected(masks=MASKS))
+
+
+@pytest.mark.parametrize("kind", [DQN, PPO])
+def test_a_memory_needs_sequences(kind):
+    with pytest.raises(ScenarioError, match="memory"):
+        kind(GRUNetwork, SIZES)
 
 
 def test_a_network_without_memory_is_refused():
