@@ -17,12 +17,23 @@ from nfv_torchrl.experiments.rows import Rows
 from nfv_torchrl.experiments.study import Study
 from nfv_torchrl.files import write_atomically
 
-PLACES = (
-    "DQN-AR", "greedy", "tabu", "NFVdeep", "myopic_optimal", "priced", "priced_admit",
-    "bound: hindsight", "bound: blind",
-)  # fmt: skip
-"""Number, and so colour and marker, of the series that several figures show."""
+PLACES = {
+    "DQN-AR": 0,
+    "DQN-AR, default reward": 0,
+    "DQN-AR, paper's reward": 7,
+    "greedy": 1,
+    "tabu": 2,
+    "NFVdeep": 3,
+    "myopic_optimal": 4,
+    "priced": 5,
+    "priced_admit": 6,
+    "bound: hindsight": 7,
+    "bound: blind": 7,
+}
+"""Number, and so colour and marker, of the series that several figures show, in the order of legends."""
 LETTERS_PER_INCH = 14
+LETTERS_OF_A_HANDLE = 8
+MOST_COLUMNS = 5
 DASHES = {"bound: hindsight": "--", "bound: blind": ":"}
 
 
@@ -84,7 +95,7 @@ def panel_figure(
             for place, name in enumerate(series):
                 mine = [row for row in rows if row["panel"] == panel and row["series"] == name]
                 if mine:
-                    draw_series(axes, mine, name, _place(like.get(name, name), place), styles.get(name, "-"))
+                    draw_series(axes, mine, name, PLACES.get(like.get(name, name), place), styles.get(name, "-"))
             axes.set_title(panel, fontsize=10)
             axes.set(xlabel=x_label, ylabel=y_label if isinstance(y_label, str) else y_label[panel])
             if log:
@@ -110,13 +121,11 @@ def _legend(figure: Figure, grid: Sequence[Any]) -> None:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     if entries:
-        figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=min(5, len(entries)))
+        longest = max(map(len, entries)) + LETTERS_OF_A_HANDLE
+        columns = max(1, int(LETTERS_PER_INCH * figure.get_figwidth() / longest))
+        columns = min(columns, MOST_COLUMNS, len(entries))
+        figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns, fontsize=9)
 
 
 def _order(name: str) -> int:
-    return PLACES.index(name) if name in PLACES else len(PLACES)
-
-
-def _place(name: str, otherwise: int) -> int:
-    """The same for both bounds, which differ by their dashes."""
-    return min(PLACES.index(name), 7) if name in PLACES else otherwise
+    return list(PLACES).index(name) if name in PLACES else len(PLACES)

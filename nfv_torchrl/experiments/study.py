@@ -124,6 +124,8 @@ class Study:
         seeds = f"{len(self.seeds)} workload seeds" if len(self.seeds) > 1 else "1 workload seed"
         seen = "seen" if self.base["observe_lifetime"] else "hidden"
         trained = f", training frames: {frames}" if frames else ""
+        if frames and self.budget["trained_colocation"] == [False]:
+            trained += " (only with colocation off)"
         return (
             f"{self.budget['name']} budget: {seeds}, scenario seed {self.base['seed']}{trained}; "
             f"T = {self.base['horizon']} s, lifetimes {seen}"

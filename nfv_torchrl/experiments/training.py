@@ -54,7 +54,11 @@ def train(cell: Cell, store: CellStore) -> dict[str, Any]:
     policy = folder / spec["policy"]
     if not policy.exists():
         raise TrainingStopped(f"{folder} has no {spec['policy']}; see {folder.with_suffix('.log')}")
-    return {"run": folder.name, "policy": policy.name, **read_curves(folder)}
+    result = {"run": folder.name, "policy": policy.name, **read_curves(folder)}
+    # They serve to go on, and with their replay memories dozens of runs would fill a disk.
+    for checkpoint in CheckpointFolder(folder).files():
+        checkpoint.unlink()
+    return result
 
 
 def _run(command: list[str], log: Path) -> None:
