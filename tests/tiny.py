@@ -7,7 +7,12 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-TINY_SCENARIO = ["scenario.substrate.nodes=5", "scenario.horizon=60", "scenario.arrival_rate=4", "scenario.mean_lifetime=40"]
+TINY_SCENARIO = [
+    "scenario.substrate.nodes=5",
+    "scenario.horizon=60",
+    "scenario.arrival_rate=4",
+    "scenario.mean_lifetime=40",
+]
 TINY_TRAINING = [
     "collector.num_envs=4",
     "collector.steps=8",
@@ -31,7 +36,9 @@ def command(recipe: str, *overrides: str) -> list[str]:
 
 def run(recipe: str, *overrides: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run a recipe to its end and return what it printed."""
-    return subprocess.run(command(recipe, *overrides), cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(
+        command(recipe, *overrides), cwd=cwd, capture_output=True, text=True, timeout=300, check=False
+    )
 
 
 def train(run_dir: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
