@@ -55,6 +55,10 @@ class Comparison:
         """Take in an upper bound on the AAR of the workload of ``seed``."""
         self.bounds.setdefault(name, {})[seed] = aar
 
+    def scenario_of(self, method: str) -> Scenario:
+        """The scenario as ``method`` ran it: mask and admission control may be its own."""
+        return next(iter(self._records[method].values())).scenario
+
     @property
     def methods(self) -> list[str]:
         return list(self.metrics)

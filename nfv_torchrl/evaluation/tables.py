@@ -73,7 +73,12 @@ def headline(comparison: Comparison) -> str:
     ]
     if scenario.warmup:
         parts.append(f"first {scenario.warmup} slots left out")
-    return ", ".join(parts)
+    own = [
+        f"{method} acts under mask {mask}"
+        for method in comparison.methods
+        if (mask := comparison.scenario_of(method).mask) != scenario.mask
+    ]
+    return ", ".join([*parts, *own])
 
 
 def method_table(comparison: Comparison) -> Table:
