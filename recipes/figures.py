@@ -40,9 +40,9 @@ def main(cfg: DictConfig) -> None:
     check_keys(config, KEYS)
     if cfg.jobs < 1:
         raise ScenarioError(f"jobs: {cfg.jobs}; at least one process is needed")
-    study = Study(config)
+    recipes = Path(__file__).parent
+    study, store = Study(config, recipes), CellStore(cfg.output, recipes)
     figures = chosen(config["figure"])
-    store = CellStore(cfg.output, Path(__file__).parent)
     failures = compute_all(figures, study, store, cfg.jobs)
     draw_all(figures, study, store, failures)
     if failures:

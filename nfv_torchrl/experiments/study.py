@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.experiments.cells import Cell, make_cell
@@ -16,10 +23,11 @@ World = dict[str, Any]
 PLACES = {"nodes": ("substrate", "nodes")}
 """Where a changed value is, if not at the top."""
 AGENT = "dqn_ar"
+NO_MATTER = ("scenario", "run_dir", "resume", "device", "logger", "checkpoint")
 
 
 class Study:
-    """Makes cells from the config of ``recipes/figures.py``.
+    """Makes cells from the config of ``recipes/figures.py``, which is in the folder ``recipes``.
 
     Attributes:
         base: the scenario from which sweeps start.
@@ -29,7 +37,8 @@ class Study:
         seeds: workload seeds.
     """
 
-    def __init__(self, config: Mapping[str, Any]) -> None:
+    def __init__(self, config: Mapping[str, Any], recipes: Path) -> None:
+        self._recipes = recipes.resolve()
         self.base: World = config["scenario"]
         self.budget: dict[str, Any] = config["budget"]
         self.planners: dict[str, Any] = config["method"]
@@ -38,6 +47,8 @@ class Study:
         self.colocations: list[bool] = config["colocation"]
         self.seeds = list(range(self.budget["seeds"]))
         self._rho: dict[str, float] = {}
+        self._configs: dict[tuple[str, tuple[str, ...]], dict[str, Any]] = {}
+        self._masks: dict[str, str] = {}
 
     def world(self, **changes: Any) -> World:
         """The base scenario with ``changes`` (``nodes`` is the substrate's).
@@ -109,6 +120,7 @@ class Study:
             "recipe": method["recipe"],
             "policy": method["policy"],
             "overrides": sorted(overrides),
+            "config": self._config(name, tuple(sorted(overrides))),  # so that a changed preset is another training
             "scenario": world,
         }
         return make_cell("training", _label(f"train_{name}", world), spec)
@@ -118,6 +130,26 @@ class Study:
         reward = self.rewards[name]
         return [*reward["overrides"], f"reward.w_cost={float(reward['w_cost'] if w_cost is None else w_cost)}"]
 
+    def _config(self, name: str, overrides: tuple[str, ...]) -> dict[str, Any]:
+        """What the recipe makes of its overrides, but for its scenario and what changes no result."""
+        if (name, overrides) not in self._configs:
+            recipe = self.trained[name]["recipe"]
+            try:
+                with self._hydra():
+                    composed = compose(Path(recipe).stem, list(overrides))
+            except HydraException as error:
+                raise ScenarioError(f"trained.{name}.overrides: {recipe} refuses them: {error}") from error
+            config: Any = OmegaConf.to_container(composed, resolve=True)
+            self._masks[name] = config["scenario"]["mask"]
+            self._configs[name, overrides] = {key: config[key] for key in config if key not in NO_MATTER}
+        return self._configs[name, overrides]
+
+    def _hydra(self) -> contextlib.AbstractContextManager[Any]:
+        """The recipes' configs, which a recipe at work has opened already."""
+        if GlobalHydra.instance().is_initialized():
+            return contextlib.nullcontext()
+        return initialize_config_dir(str(self._recipes / "config"), version_base=None)
+
     def about(self) -> str:
         """What every title says: the effort behind the figure."""
         frames = ", ".join(f"{show(name)} {n:,}" for name, n in self.budget["frames"].items() if name in self.trained)
@@ -126,6 +158,9 @@ class Study:
         trained = f", training frames: {frames}" if frames else ""
         if frames and self.budget["trained_colocation"] == [False]:
             trained += " (only with colocation off)"
+        trained += "".join(
+            f", {show(name)} under the {mask} mask" for name, mask in self._masks.items() if name == AGENT
+        )
         return (
             f"{self.budget['name']} budget: {seeds}, scenario seed {self.base['seed']}{trained}; "
             f"T = {self.base['horizon']} s, lifetimes {seen}"

@@ -38,7 +38,7 @@ def train(cell: Cell, store: CellStore) -> dict[str, Any]:
         TrainingStopped: the recipe failed or was interrupted.
     """
     spec, folder = cell.spec, run_folder(cell, store)
-    # The scenario goes in whole, as a file of the recipe's own config group.
+    # The whole scenario is a file of the recipe's own config group; a preset may change some of it.
     configs = store.folder / "configs"
     write_atomically(configs / "scenario" / f"{cell.key}.yaml", OmegaConf.to_yaml(spec["scenario"]))
     command = [
