@@ -6,6 +6,8 @@ READY := $(VENV)/.ready
 
 # Config overrides for the recipe: make train ARGS="scenario=geant preset=paper".
 ARGS ?=
+# Processes of the tests.
+JOBS ?= 2
 # Where the run goes: run_dir=... among ARGS, otherwise runs/dqn.
 RUN := $(or $(patsubst run_dir=%,%,$(filter run_dir=%,$(ARGS))),runs/dqn)
 TRAIN_ARGS := run_dir=$(RUN) $(filter-out run_dir=%,$(ARGS))
@@ -33,7 +35,7 @@ train: $(READY)  ## Train a DQN on the default network, then compare it with the
 	@echo 'Evaluation:  $(RUN)/evaluation'
 
 test: $(READY)  ## Run the tests (ARGS go to pytest)
-	$(VENV)/bin/python -m pytest $(ARGS)
+	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
 
 lint: $(READY)  ## Check style with ruff and types with mypy
 	$(VENV)/bin/ruff check .
