@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import networkx as nx
 import numpy as np
-from matplotlib import colormaps
+from matplotlib import colormaps, patheffects
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -59,7 +59,9 @@ def draw_utilisation(record: RunRecord) -> Figure:
         node_size=100 + 500 * capacity / capacity.max(), edgecolors="black", linewidths=0.5,
     )  # fmt: skip
     if substrate.num_nodes <= 50:
-        nx.draw_networkx_labels(graph, place, ax=axes, font_size=7, font_color="tab:red")
+        outline = [patheffects.withStroke(linewidth=2, foreground="white")]
+        for label in nx.draw_networkx_labels(graph, place, ax=axes, font_size=8).values():
+            label.set_path_effects(outline)
     figure.colorbar(ScalarMappable(scale, colours), ax=axes, label="mean used share (nodes: of their VMs' capacity)")
     axes.set_title(f"{record.scenario.name}: {record.method}, workload seed {record.workload_seed}", fontsize=9)
     axes.set_axis_off()
