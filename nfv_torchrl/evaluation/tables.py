@@ -53,6 +53,8 @@ def render(comparison: Comparison, reference: str | None = None, markdown: bool 
     tables = [method_table(comparison), detail_table(comparison)]
     if reference is not None and len(comparison.methods) > 1:
         tables.append(paired_table(comparison, reference))
+    if reference is not None and len(comparison.methods) > 2:
+        tables.append(cost_matrix(comparison))
     return "\n\n".join([headline(comparison), *(table.markdown() if markdown else table.text() for table in tables)])
 
 
@@ -145,6 +147,22 @@ def paired_table(comparison: Comparison, reference: str) -> Table:
         )
     title = f"Against {reference} on the same seeds: difference of AAR [95 % confidence interval], cost ratio over the"
     return Table(f"{title} requests both accept", columns, tuple(rows))
+
+
+def cost_matrix(comparison: Comparison) -> Table:
+    """Paired cost of every method (row) to every other (column): the mean over seeds."""
+    rows = [
+        (
+            method,
+            *(
+                "–" if method == other else _share(comparison.paired_cost(method, other).mean)
+                for other in comparison.methods
+            ),
+        )
+        for method in comparison.methods
+    ]
+    title = "Paired cost, row over column: sum of phi over the requests both accept, as a ratio, mean over seeds"
+    return Table(title, ("method", *comparison.methods), tuple(rows))
 
 
 def _paired(
