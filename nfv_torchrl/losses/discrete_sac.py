@@ -38,7 +38,8 @@ class DiscreteSAC(MaskedLoss):
         sizes: sizes of observation and actions.
         gamma: discount per step.
         entropy_share: c.
-        alpha: initial temperature.
+        alpha: initial temperature, small beside the differences between values: the entropy of every further step is
+            worth alpha times it, which would make longer walks pay.
         learn_alpha: False keeps it.
         stop_at: key that ends the look ahead: ``request_done``, or ``done`` to look across requests.
 
@@ -63,7 +64,7 @@ class DiscreteSAC(MaskedLoss):
         *,
         gamma: float = 1.0,
         entropy_share: float = 0.1,
-        alpha: float = 0.1,
+        alpha: float = 0.01,
         learn_alpha: bool = True,
         stop_at: str = "request_done",
     ) -> None:

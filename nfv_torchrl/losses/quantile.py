@@ -53,7 +53,7 @@ class QuantileDQN(MaskedLoss):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        quantiles: int = 32,
+        quantiles: int = 16,
         kappa: float = 1.0,
         gamma: float = 1.0,
         double: bool = False,
