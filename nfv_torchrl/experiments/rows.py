@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from nfv_torchrl.evaluation.comparison import MYOPIC, SMALLEST_GAP
 from nfv_torchrl.evaluation.figures import tidy_row
-from nfv_torchrl.evaluation.statistics import Interval, mean_interval, relative_difference
+from nfv_torchrl.evaluation.statistics import Interval, mean_interval, ratio_of_means, relative_difference
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.study import AGENT, Study, World, show
 from nfv_torchrl.experiments.work import read_costs
@@ -86,6 +87,21 @@ def paired_cost(store: CellStore, cell: Cell, reference: Cell) -> Interval:
         total = float(other[seed][both].sum(dtype=np.float64))
         ratios.append(float(costs[both].sum(dtype=np.float64)) / total if total else math.nan)
     return mean_interval(ratios)
+
+
+def gap_rows(store: CellStore, cells: Mapping[str, Cell], bound: Cell, x: float, world: World) -> Rows:
+    """How much of the way from `myopic_optimal` to each bound on AAR a method goes, where there is a way to go."""
+    if MYOPIC not in cells:
+        return []
+    start, rows = np.array(values(store.read(cells[MYOPIC]), "aar")), []
+    result = store.read(bound)
+    for kind, by_seed in result["bounds"].items():
+        gap = np.array(list(by_seed.values())) - start
+        for name, cell in cells.items() if gap.mean() >= SMALLEST_GAP else ():
+            gained = np.array(values(store.read(cell), "aar")) - start
+            more = {"metric": "gap_closed", "reference": f"bound: {kind}", **setting(world, result["rho"])}
+            rows.append(tidy_row(show(name), x, ratio_of_means(gained, gap), **more))
+    return rows
 
 
 def constant(row: Mapping[str, Any], xs: Sequence[float]) -> Rows:

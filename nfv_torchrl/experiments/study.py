@@ -48,7 +48,7 @@ class Study:
         self.seeds = list(range(self.budget["seeds"]))
         self._rho: dict[str, float] = {}
         self._configs: dict[tuple[str, tuple[str, ...]], dict[str, Any]] = {}
-        self._masks: dict[str, str] = {}
+        self._mask: str | None = None
 
     def world(self, **changes: Any) -> World:
         """The base scenario with ``changes`` (``nodes`` is the substrate's).
@@ -112,6 +112,8 @@ class Study:
                 reward.
             seed: of the training.
         """
+        if name not in self.trained:
+            raise ScenarioError(f"trained: has no {name!r}, which this figure shows; add it or ask for other figures")
         method = self.trained[name]
         overrides = [*method["overrides"], f"seed={seed}"]
         if name == AGENT:
@@ -140,7 +142,8 @@ class Study:
             except HydraException as error:
                 raise ScenarioError(f"trained.{name}.overrides: {recipe} refuses them: {error}") from error
             config: Any = OmegaConf.to_container(composed, resolve=True)
-            self._masks[name] = config["scenario"]["mask"]
+            if name == AGENT:
+                self._mask = config["scenario"]["mask"]
             self._configs[name, overrides] = {key: config[key] for key in config if key not in NO_MATTER}
         return self._configs[name, overrides]
 
@@ -152,15 +155,15 @@ class Study:
 
     def about(self) -> str:
         """What every title says: the effort behind the figure."""
-        frames = ", ".join(f"{show(name)} {n:,}" for name, n in self.budget["frames"].items() if name in self.trained)
+        frames = self.budget["frames"].items() if self.budget["trained_colocation"] else ()
+        trained = ", ".join(f"{show(name)} {n:,}" for name, n in frames if name in self.trained)
         seeds = f"{len(self.seeds)} workload seeds" if len(self.seeds) > 1 else "1 workload seed"
         seen = "seen" if self.base["observe_lifetime"] else "hidden"
-        trained = f", training frames: {frames}" if frames else ""
-        if frames and self.budget["trained_colocation"] == [False]:
+        trained = f", training frames: {trained}" if trained else ""
+        if self.budget["trained_colocation"] == [False]:
             trained += " (only with colocation off)"
-        trained += "".join(
-            f", {show(name)} under the {mask} mask" for name, mask in self._masks.items() if name == AGENT
-        )
+        if self._mask is not None:
+            trained += f", {show(AGENT)} under the {self._mask} mask"
         return (
             f"{self.budget['name']} budget: {seeds}, scenario seed {self.base['seed']}{trained}; "
             f"T = {self.base['horizon']} s, lifetimes {seen}"

@@ -8,7 +8,7 @@ from typing import Any
 
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
-from nfv_torchrl.experiments.rows import Rows, bound_rows, method_row, paired_rows
+from nfv_torchrl.experiments.rows import Rows, bound_rows, gap_rows, method_row, paired_rows
 from nfv_torchrl.experiments.study import Study, World
 
 METRICS = {"aar": "AAR", "anuc": "ANUC ($)"}
@@ -47,8 +47,10 @@ class Sweep:
             for x, world in self._worlds(study, colocation).items():
                 cells = study.evaluations(world)
                 rows += [method_row(store, cell, name, x, self.metric, world) for name, cell in cells.items()]
-                rows += bound_rows(store, study.bound(world), x, world) if self.metric == "aar" else []
                 paired += paired_rows(store, cells, x, world, study)
+                if self.metric == "aar":
+                    rows += bound_rows(store, study.bound(world), x, world)
+                    paired += gap_rows(store, cells, study.bound(world), x, world)
         ticks = {x: f"{x:g}\nρ {study.rho(world):.2f}" for x, world in self._worlds(study, False).items()}
         figure = panel_figure(
             rows,

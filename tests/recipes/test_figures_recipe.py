@@ -25,6 +25,7 @@ from nfv_torchrl.experiments import work
 from nfv_torchrl.experiments.catalogue import FIGURES, chosen
 from nfv_torchrl.experiments.cells import CellStore, make_cell, with_needs
 from nfv_torchrl.experiments.decision_time import Size, dqn_steps, greedy_steps, tabu_steps
+from nfv_torchrl.experiments.rows import gap_rows
 
 NFVDEEP = ["collector.num_envs=4", "collector.steps=8", "collector.total_frames=320", "eval.seeds=[1000]"]
 TINY = [
@@ -194,6 +195,22 @@ def test_cells_are_known_by_their_content():
     assert len({first.key, make_cell("bound", "a", first.spec).key, make_cell("evaluation", "a", {"x": 2}).key}) == 3
     second = make_cell("evaluation", "b", {"x": 3}, needs=[first])
     assert with_needs([second, first, second]) == [first, second]
+
+
+def test_share_of_the_gap_closed(tmp_path):
+    store, world = CellStore(tmp_path), {"substrate": {"nodes": 5}, "colocation": True, "observe_lifetime": False}
+    world |= {"arrival_rate": 2, "mean_lifetime": 5}
+    cells = {name: make_cell("evaluation", name, {}) for name in ("myopic_optimal", "priced")}
+    for name, aars in {"myopic_optimal": (0.5, 0.6), "priced": (0.6, 0.8)}.items():
+        store.write(cells[name], {"metrics": {str(seed): {"aar": aar} for seed, aar in enumerate(aars)}})
+    limit = make_cell("bound", "bound", {})
+    store.write(limit, {"rho": 1.0, "bounds": {"hindsight": {"0": 0.9, "1": 0.9}, "blind": {"0": 0.5, "1": 0.6}}})
+    rows = gap_rows(store, cells, limit, 5, world)
+    assert [(row["series"], row["reference"]) for row in rows] == [
+        ("myopic_optimal", "bound: hindsight"),
+        ("priced", "bound: hindsight"),  # no way to go to the blind bound
+    ]
+    assert [row["mean"] for row in rows] == pytest.approx([0, 0.3 / 0.7])
 
 
 def test_formulas_by_hand():
