@@ -3,9 +3,11 @@
     python recipes/evaluate.py method=[random,random_feasible,greedy,tabu,myopic_optimal]
     python recipes/evaluate.py method=[greedy,checkpoint] checkpoint=runs/dqn/best.pt scenario=paper output=runs/table
     python recipes/evaluate.py scenario=heavy scenario.colocation=true method=[greedy,priced_admit] bounds=true
+    python recipes/evaluate.py scenario=heavy scenario_seeds=10 method=[greedy,myopic_optimal] bounds=true
 
 Prints the mean and the 95 % confidence interval of every metric over the workload seeds, and paired differences to a
-reference method. With output=DIR it writes DIR/METHOD/seed_S/ (scenario, substrate, workload, decisions, metrics),
+reference method. With scenario_seeds the network changes with the workload, and intervals are over networks. With
+output=DIR it writes DIR/METHOD/seed_S/ (scenario, substrate, workload, decisions, metrics), S the workload seed,
 DIR/summary.csv and DIR/per_seed.csv. All keys: config/evaluate.yaml.
 """
 
@@ -33,7 +35,18 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.cli import check_keys, clear_errors
 from nfv_torchrl.training.setup import set_threads
 
-KEYS = ("scenario", "method", "checkpoint", "seeds", "output", "reference", "bounds", "audit", "threads")
+KEYS = (
+    "scenario",
+    "method",
+    "checkpoint",
+    "seeds",
+    "scenario_seeds",
+    "output",
+    "reference",
+    "bounds",
+    "audit",
+    "threads",
+)
 
 
 @hydra.main(config_path="config", config_name="evaluate", version_base=None)
@@ -42,22 +55,22 @@ def main(cfg: DictConfig) -> None:
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
     check_keys(config, KEYS)
     set_threads(cfg.threads)
-    scenario = Scenario.from_config(config["scenario"])
-    seeds = read_seeds(config["seeds"], scenario)
+    scenarios, seeds = read_runs(config)
     check_checkpoint(config)
-    methods = methods_from_config(config["method"], scenario)
+    methods = methods_from_config(config["method"], scenarios)
     reference = choose_reference(config["reference"], methods)
-    comparison = Comparison(scenario)
+    comparison = Comparison(scenarios[0])
+    worlds = scenarios * len(seeds) if len(scenarios) == 1 else scenarios
 
     with output_folder(config["output"], methods, seeds) as folder:
         for method in methods:
-            requests = sum(len(scenario.workload(seed)) for seed in seeds)
+            requests = sum(len(world.workload(seed)) for world, seed in zip(worlds, seeds, strict=True))
             with tqdm(total=requests, desc=method.name, unit="request", disable=None) as bar:
-                records = run_method(scenario, method, seeds, progress=bar.update)
+                records = run_method(scenarios, method, seeds, progress=bar.update)
             for record in records:
                 write_run(folder / method.name / f"seed_{record.workload_seed}", record, comparison.add(record))
         if cfg.bounds:
-            add_bounds(comparison, scenario, seeds)
+            add_bounds(comparison, worlds, seeds)
         write_summary(folder, comparison, reference)
         print(render(comparison, reference))
         if cfg.audit:
@@ -66,17 +79,38 @@ def main(cfg: DictConfig) -> None:
             print(f"\nDecisions and tables: {folder}")
 
 
-def read_seeds(seeds: Any, scenario: Scenario) -> list[int]:
-    """Workload seeds from a number of them or a list."""
+def read_runs(config: dict[str, Any]) -> tuple[list[Scenario], list[int]]:
+    """The scenario, or one for each scenario seed, and the workload seeds of all runs.
+
+    With ``scenario_seeds`` the i-th network meets the i-th workload seed. One workload seed for all networks would give
+    them the same arrivals, and the interval would leave out how much these matter.
+    """
+    seeds = list_of_seeds("seeds", config["seeds"])
+    if config["scenario_seeds"] is None:
+        scenario = Scenario.from_config(config["scenario"])
+        if scenario.workload_path is not None and scenario.failures.off and len(seeds) > 1:
+            # The same requests again and again would pass for certainty.
+            print(f"One workload, that of {scenario.workload_path}: it is run once, under seed {seeds[0]}.\n")
+            seeds = seeds[:1]
+        return [scenario], seeds
+    networks = list_of_seeds("scenario_seeds", config["scenario_seeds"])
+    if len(networks) != len(seeds):
+        raise ScenarioError(
+            f"scenario_seeds: {len(networks)} of them and {len(seeds)} seeds; each network meets one workload seed, so "
+            f"use as many, such as seeds={len(networks)}"
+        )
+    if config["scenario"]["workload"]["path"] is not None:
+        raise ScenarioError("scenario_seeds: networks change but workload.path is one file; leave one of them null")
+    return [Scenario.from_config({**config["scenario"], "seed": seed}) for seed in networks], seeds
+
+
+def list_of_seeds(key: str, seeds: Any) -> list[int]:
+    """Seeds from a number of them or a list."""
     if isinstance(seeds, int) and not isinstance(seeds, bool) and seeds > 0:
         seeds = list(range(seeds))
     whole = isinstance(seeds, list) and all(isinstance(s, int) and not isinstance(s, bool) and s >= 0 for s in seeds)
     if not whole or not seeds or len(set(seeds)) < len(seeds):
-        raise ScenarioError(f"seeds: {seeds!r}; use a number of at least 1, or a list of different integers >= 0")
-    if scenario.workload_path is not None and scenario.failures.off and len(seeds) > 1:
-        # The same requests again and again would pass for certainty.
-        print(f"One workload, that of {scenario.workload_path}: it is run once, under seed {seeds[0]}.\n")
-        return seeds[:1]
+        raise ScenarioError(f"{key}: {seeds!r}; use a number of at least 1, or a list of different integers >= 0")
     return seeds
 
 
@@ -122,13 +156,16 @@ def output_folder(output: str | None, methods: Sequence[Method], seeds: Sequence
     yield folder
 
 
-def add_bounds(comparison: Comparison, scenario: Scenario, seeds: Sequence[int]) -> None:
-    """Upper bounds on AAR: knowing all requests in advance, and not knowing lifetimes where methods do not see them."""
-    blind = scenario.workload_path is None and not scenario.observe_lifetime
-    for seed in tqdm(seeds, desc="bounds", unit="seed", disable=None):
+def add_bounds(comparison: Comparison, worlds: Sequence[Scenario], seeds: Sequence[int]) -> None:
+    """Upper bounds on AAR: knowing all requests in advance, and not knowing lifetimes where methods do not see them.
+
+    ``worlds``: the scenario of each of the ``seeds``.
+    """
+    runs = list(zip(worlds, seeds, strict=True))
+    for scenario, seed in tqdm(runs, desc="bounds", unit="seed", disable=None):
         workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
         comparison.add_bound("hindsight", seed, hindsight_bound(scenario, workload, timeline).aar)
-        if blind:
+        if scenario.workload_path is None and not scenario.observe_lifetime:
             comparison.add_bound("blind", seed, blind_bound(scenario, workload, timeline).aar)
 
 

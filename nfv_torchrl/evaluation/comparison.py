@@ -29,6 +29,8 @@ MYOPIC = "myopic_optimal"
 class Comparison:
     """The runs of an evaluation, added one by one with :meth:`add`; whole walks are not kept.
 
+    A workload seed names a run. Runs may be on networks of their own (other scenario seeds), of which ``scenario`` is
+    the first; what all methods are paired by is then scenario seed and workload seed together.
     ``metrics[method][seed]`` holds the metrics of a run, ``bounds[name][seed]`` an upper bound on AAR.
     """
 
@@ -58,6 +60,15 @@ class Comparison:
     def scenario_of(self, method: str) -> Scenario:
         """The scenario as ``method`` ran it: mask and admission control may be its own."""
         return next(iter(self._records[method].values())).scenario
+
+    def scenarios(self) -> dict[int | None, Scenario]:
+        """The scenario of every seed: one and the same, or one for each where the scenario seed changes too."""
+        return {seed: run.scenario for runs in self._records.values() for seed, run in runs.items()}
+
+    @property
+    def scenario_seeds(self) -> list[int]:
+        """The different scenario seeds that runs were made on."""
+        return list(dict.fromkeys(scenario.seed for scenario in self.scenarios().values()))
 
     @property
     def methods(self) -> list[str]:
@@ -110,6 +121,11 @@ class Comparison:
 
 
 def _check_same_requests(first: RunRecord, second: RunRecord) -> None:
+    if first.scenario.seed != second.scenario.seed:
+        raise ScenarioError(
+            f"{first.method} and {second.method} met the networks of scenario seeds {first.scenario.seed} and "
+            f"{second.scenario.seed} under workload seed {first.workload_seed}; compare methods on the same network"
+        )
     for name in ("slot", "service", "ingress", "egress", "lifetime"):
         if not np.array_equal(getattr(first.workload, name), getattr(second.workload, name)):
             raise ScenarioError(

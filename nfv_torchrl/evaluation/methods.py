@@ -188,13 +188,13 @@ class PolicyMethod:
         return answer.get("action").cpu().numpy()
 
 
-def methods_from_config(config: Mapping[str, Any], scenario: Scenario) -> list[Method]:
+def methods_from_config(config: Mapping[str, Any], scenario: Scenario | Sequence[Scenario]) -> list[Method]:
     """Build the methods of a recipe's ``method`` group, in order.
 
     Args:
         config: ``_target_`` and arguments of each method; the keys only tell the entries apart. An entry with
             ``_partial_: true`` is called with ``scenario=`` after that (a checkpoint has to be checked against it).
-        scenario: what the methods will run on.
+        scenario: what the methods will run on, one scenario or the several of one batch.
 
     Raises:
         ScenarioError: an entry is no method, or two have the same name.

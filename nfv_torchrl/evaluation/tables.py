@@ -18,7 +18,7 @@ UNDEFINED = "–"
 SUMMARY_COLUMNS = (
     "method", "metric", "mean", "ci_low", "ci_high", "n", "reference", "scenario", "colocation", "observe_lifetime",
 )  # fmt: skip
-PER_SEED_COLUMNS = ("method", "seed", "metric", "value")
+PER_SEED_COLUMNS = ("method", "seed", "metric", "value", "scenario_seed", "rho")
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,8 @@ def render(comparison: Comparison, reference: str | None = None, markdown: bool 
 def headline(comparison: Comparison) -> str:
     """The scenario in one line, rho first."""
     scenario = comparison.scenario
-    seeds = max(len(runs) for runs in comparison.metrics.values())
     parts = [
-        f"rho = {scenario.offered_load():.2f}",
+        f"rho = {_loads(comparison)}",
         f"scenario {scenario.name}",
         f"lifetimes {'seen' if scenario.observe_lifetime else 'hidden'}",
         f"colocation {'on' if scenario.colocation else 'off'}",
@@ -71,7 +70,7 @@ def headline(comparison: Comparison) -> str:
         f"admission control {'on' if scenario.admission_control else 'off'}",
         f"N = {scenario.substrate.num_nodes}",
         f"T = {scenario.horizon}",
-        f"{seeds} workload seed{'s' if seeds > 1 else ''}",
+        _seeds(comparison),
     ]
     if scenario.warmup:
         parts.append(f"first {scenario.warmup} slots left out")
@@ -81,6 +80,21 @@ def headline(comparison: Comparison) -> str:
         if (mask := comparison.scenario_of(method).mask) != scenario.mask
     ]
     return ", ".join([*parts, *own])
+
+
+def _loads(comparison: Comparison) -> str:
+    """rho, and its range where networks differ."""
+    by_network = {scenario.seed: scenario.offered_load() for scenario in comparison.scenarios().values()}
+    loads = list(by_network.values())
+    mean = f"{math.fsum(loads) / len(loads):.2f}"
+    return mean if len(loads) == 1 else f"{mean} ({min(loads):.2f} to {max(loads):.2f})"
+
+
+def _seeds(comparison: Comparison) -> str:
+    networks, runs = len(comparison.scenario_seeds), len(comparison.scenarios())
+    if networks > 1:
+        return f"{networks} scenario seeds with a workload seed each"
+    return f"{runs} workload seed{'s' if runs > 1 else ''}"
 
 
 def method_table(comparison: Comparison) -> Table:
@@ -107,7 +121,8 @@ def method_table(comparison: Comparison) -> Table:
     ]
     blank = [UNDEFINED] * len(shown)
     rows += [(f"bound: {name}", _cell(comparison.bound(name), _share), *blank) for name in comparison.bounds]
-    title = "Mean and 95 % confidence interval over workload seeds"
+    over = "scenario seeds (networks)" if len(comparison.scenario_seeds) > 1 else "workload seeds"
+    title = f"Mean and 95 % confidence interval over {over}"
     return Table(title, ("method", *(head for head, _, _ in shown), "decisions/s"), tuple(rows))
 
 
@@ -185,8 +200,9 @@ def write_summary(folder: str | os.PathLike[str], comparison: Comparison, refere
         (method, metric, *_numbers(interval), against, *about)
         for method, metric, interval, against in _summary_rows(comparison, reference)
     ]
+    of_seed = {seed: (world.seed, world.offered_load()) for seed, world in comparison.scenarios().items()}
     per_seed = [
-        (method, "" if seed is None else seed, metric, _number(value))
+        (method, "" if seed is None else seed, metric, _number(value), *of_seed[seed])
         for method, runs in comparison.metrics.items()
         for seed, run in runs.items()
         for metric, value in run.items()

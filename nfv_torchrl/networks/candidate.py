@@ -40,7 +40,7 @@ class CandidateNetwork(QNetwork):
         noisy: bool = False,
     ) -> None:
         super().__init__()
-        self.outputs = outputs
+        self.outputs, self.noisy = outputs, noisy
         self.layers = perceptron(sizes.candidate_features, outputs, hidden, activation, noisy=noisy)
 
     def observations(self) -> list[ObservationPart]:
@@ -49,10 +49,19 @@ class CandidateNetwork(QNetwork):
 
     def forward(self, features: Tensor, action: Tensor, row_mask: Tensor, action_mask: Tensor) -> Tensor:
         """Values of all actions."""
-        scores = self.layers(features)
+        scores = self._scores(features, row_mask)
         actions = action_mask.shape[-1]
         # Rows not in use write to a column of their own that is cut off again.
         place = action.masked_fill(~row_mask, actions)
         values = scores.new_zeros(*action_mask.shape[:-1], actions + 1, self.outputs)
         values = values.scatter(-2, place.unsqueeze(-1).expand_as(scores), scores)[..., :actions, :]
         return values.squeeze(-1) if self.outputs == 1 else values
+
+    def _scores(self, features: Tensor, row_mask: Tensor) -> Tensor:
+        """Outputs of the rows in use, 0 for padding, [..., C, outputs]."""
+        if self.noisy:  # noise is drawn per state, so the rows have to stay in their states
+            return self.layers(features)
+        # Most rows are padding: leaving them out makes an update about four times as fast.
+        scores = features.new_zeros(*row_mask.shape, self.outputs)
+        scores[row_mask] = self.layers(features[row_mask])
+        return scores

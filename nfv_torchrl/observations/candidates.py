@@ -109,7 +109,21 @@ def reference_costs(tables: Tables, costs: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, _nrt=False)
-def _write_row(world, b, costs, references, action, row):
+def write_row(world, b, costs, references, action, row):
+    """Features of one valid action into ``row`` [features], which holds zeros."""
+    e = world.env[b]
+    if action == world.seen.mask.shape[1] - 1:
+        row[0] = 1.0
+    else:
+        _write_step(world, b, costs, references, action, row)
+    row[17] = e.vm_used / world.tables.vm_total[e.net]
+    row[18] = e.link_used / world.tables.link_total[e.net]
+    if e.done == 0:
+        row[row.size - world.tables.load.shape[0] + e.service] = 1.0
+
+
+@njit(cache=True, _nrt=False)
+def _write_step(world, b, costs, references, action, row):
     """Features of one valid action other than reject."""
     tables, ledger, e = world.tables, world.ledger, world.env[b]
     vms = ledger.vm_offered.shape[2]
@@ -166,7 +180,6 @@ def _write_row(world, b, costs, references, action, row):
 @njit(cache=True, nogil=True, _nrt=False)
 def write_candidates(world, costs, references, rows, actions, mask):
     """Fill ``rows`` float32 [B, C, features], ``actions`` int64 [B, C] and ``mask`` bool [B, C] from the world."""
-    features = rows.shape[2] - world.tables.load.shape[0]
     reject = world.seen.mask.shape[1] - 1
     for b in range(rows.shape[0]):
         e = world.env[b]
@@ -179,15 +192,7 @@ def write_candidates(world, costs, references, rows, actions, mask):
             action = np.int64(world.seen.valid[b, k])
             actions[b, k] = action
             mask[b, k] = True
-            row = rows[b, k]
-            if action == reject:
-                row[0] = 1.0
-            else:
-                _write_row(world, b, costs, references, action, row)
-            row[17] = e.vm_used / world.tables.vm_total[e.net]
-            row[18] = e.link_used / world.tables.link_total[e.net]
-            if e.done == 0:
-                row[features + e.service] = 1.0
+            write_row(world, b, costs, references, action, rows[b, k])
 
 
 class CandidateObservation:

@@ -54,7 +54,7 @@ def save_policy(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Non
 
 def load_policy(
     path: str | os.PathLike[str],
-    scenario: Scenario,
+    scenario: Scenario | Sequence[Scenario],
     *,
     name: str = "checkpoint",
     trusted_packages: Sequence[str] = (),
@@ -66,7 +66,8 @@ def load_policy(
 
     Args:
         path: the file.
-        scenario: what it is to act on; networks of fixed size need the sizes they were trained on.
+        scenario: what it is to act on, one scenario or the several of one batch; networks of fixed size need the
+            sizes they were trained on.
         name: name of the method in tables and folders.
         trusted_packages: a policy file names the classes of its network and loss. Those of this project are built as
             they are; others only from packages named here, because building an object runs its code.
@@ -81,7 +82,8 @@ def load_policy(
     for part in ("network", "loss", "planner"):
         _check_target(path, content[part], trusted_packages)
     network = instantiate(content["network"])
-    simulator = Simulator(scenario, 1, one_hot=content["one_hot"])
+    scenarios = [scenario] if isinstance(scenario, Scenario) else list(scenario)
+    simulator = Simulator(scenarios, len(scenarios), one_hot=content["one_hot"])
     planner = instantiate(content["planner"])
     sizes = planner.sizes(simulator) if planner else Sizes.of(simulator)
     loss = instantiate(content["loss"], network=network, sizes=sizes)
@@ -91,7 +93,7 @@ def load_policy(
     if not fits:
         raise CheckpointError(
             f"{path} was trained on {content['scenario']} with {trained.actions} actions and {trained.observation} "
-            f"observations; {scenario.name} has {sizes.actions} and {sizes.observation}. Evaluate it on the scenario "
+            f"observations; {scenarios[0].name} has {sizes.actions} and {sizes.observation}. Evaluate it on the scenario "
             "(and scenario.seed sizes) it was trained on, or train with network=candidate, which fits any size"
         )
     loss.load_state_dict(content["weights"])
