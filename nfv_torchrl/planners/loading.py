@@ -6,11 +6,10 @@ import numpy as np
 
 from nfv_torchrl.planners.cheapest import grow_scratch, make_scratch, plan_cheapest
 from nfv_torchrl.planners.compiled import kernel
+from nfv_torchrl.planners.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.planners.walks import OVERFLOW
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.simulator.kernels import step_env
 
-ARRIVED, NO_ROOM = 0, 1
 PRICE_NOISE = 0.3
 """Standard deviation of the logarithm of the factors on VM and link unit costs."""
 
@@ -19,15 +18,11 @@ PRICE_NOISE = 0.3
 def forward_planned(world, b, slot, vm_price, link_price, scratch, plan):
     """Answer requests of environment b by ``plan_cheapest`` until ``slot``.
 
-    Returns ARRIVED, NO_ROOM if the simulator's pools run low, or OVERFLOW if the scratch must grow.
+    Returns FINISHED, NO_ROOM if the simulator's pools run low, or OVERFLOW if the scratch must grow.
     """
     e = world.env[b]
-    reject = world.seen.mask.shape[1] - 1
-    most = world.rules.max_steps
     while e.slot < slot and e.done == 0:
-        if e.free_records < 1 or e.free_entries < 2 * most:
-            return NO_ROOM
-        if world.log.enabled and world.log.action.shape[1] - e.log_length < most:
+        if not has_room(world, b):
             return NO_ROOM
         steps = plan_cheapest(
             world.tables,
@@ -45,11 +40,8 @@ def forward_planned(world, b, slot, vm_price, link_price, scratch, plan):
         )
         if steps == OVERFLOW:
             return OVERFLOW
-        if steps == 0:
-            step_env(world, b, np.int64(reject))
-        for k in range(steps):
-            step_env(world, b, plan[k])
-    return ARRIVED
+        play_plan(world, b, steps, plan)
+    return FINISHED
 
 
 class Loader:
@@ -73,7 +65,7 @@ class Loader:
             outcome = forward_planned(
                 self.simulator.world, b, slot, vm_price, link_price, self._scratch, self._plan
             )
-            if outcome == ARRIVED:
+            if outcome == FINISHED:
                 break
             if outcome == NO_ROOM:
                 self.simulator.make_room_for(b)

@@ -1,0 +1,356 @@
+"""``learned_prices``: the exact search of each request at prices that a network sets, and a learned refusal.
+
+The same small functions price every VM and every link from what can be seen of it, of the network as a whole and of
+the request; the label search of ``myopic_optimal`` then finds the cheapest walk at unit cost plus price, and a third
+function says whether that walk is worth having. With all three at zero this is ``myopic_optimal``, so learning starts
+there. The functions see shares and ratios only, so one set of weights serves networks of any size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from nfv_torchrl.planners.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.planners.compiled import inlined, kernel, part
+from nfv_torchrl.planners.playing import FINISHED, NO_ROOM, has_room, play_plan
+from nfv_torchrl.planners.walks import OVERFLOW
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.tables import Tables
+
+VM_FEATURES = (
+    "used",  # share of the VM that is used now
+    "used^4",
+    "used^16",
+    "short",  # r / (r + free), r the reference load: near 1 when less than a usual request is left
+    "tight",  # d / (d + free), d the load of this request's largest function
+    "node_used",  # used share of all VMs of the node
+    "network_used",  # used share of all VMs
+    "dear",  # unit cost over the network's mean, less 1
+    "load",  # log of the chain's load over the reference load, halved
+    "lifetime",  # log of the lifetime over the mean lifetime; 0 where lifetimes are hidden
+)
+LINK_FEATURES = (
+    "used",
+    "used^4",
+    "used^16",
+    "tight",  # rate / (rate + free)
+    "network_used",  # used share of all links
+    "load",
+    "lifetime",
+)
+ADMIT_FEATURES = (
+    "priced",  # log of the walk's priced cost over that of the reference load at the price unit, over 3
+    "true",  # the same of its true cost
+    "tightest",  # largest d / (d + free) over the VMs of the walk, free being what it leaves there
+    "network_used",
+    "network_used^4",
+    "links_used",  # used share of all links
+    "load",
+    "lifetime",
+)
+MOST_FEATURES = max(len(VM_FEATURES), len(LINK_FEATURES), len(ADMIT_FEATURES))
+PRICE_UNIT = 4.0
+"""Prices are learned in multiples of this times the network's mean VM unit cost, about where full VMs should be."""
+LONGEST = 20.0
+"""Lifetimes are seen up to this multiple of their mean, and from one 400th of it."""
+
+
+class Head(NamedTuple):
+    """f(x) = linear . (x, 1) + sum over h of out[h] tanh(hidden[h] . (x, 1))."""
+
+    linear: np.ndarray  # float64 [F + 1]
+    hidden: np.ndarray  # float64 [H, F + 1]
+    out: np.ndarray  # float64 [H]
+
+
+class PriceWeights(NamedTuple):
+    """The three functions; a VM's or link's price is max(0, f) price units, a request with f > 0 is refused."""
+
+    vm: Head
+    link: Head
+    admit: Head
+
+
+class Seen(NamedTuple):
+    """What the functions measure with, fixed during a run."""
+
+    reference_load: float  # r, Mcycles/s: mean over services of the load of their chain
+    reference_units: float  # the same in ledger units
+    price_unit: np.ndarray  # float64 [S], $ per Mcycles/s or Mbit/s
+    mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s: mean unit cost of VMs
+    chain_load: np.ndarray  # float64 [K], Mcycles/s
+    largest_units: np.ndarray  # int64 [K], ledger units of the largest function
+    mean_lifetime: np.ndarray  # float64 [B], s; 0 where lifetimes are hidden
+
+
+class PriceScratch(NamedTuple):
+    """What planning writes to; one for each thread."""
+
+    search: Scratch
+    x: np.ndarray  # float64 [MOST_FEATURES]
+
+
+def measures(simulator: Simulator) -> Seen:
+    """``Seen`` of the networks, services and scenarios of ``simulator``."""
+    tables = simulator.tables
+    chain = tables.load.sum(axis=1)
+    counts = tables.vm_count.sum(axis=1)
+    mean_cost = tables.vm_unit_cost.sum(axis=(1, 2)) / np.maximum(counts, 1)
+    scenarios = [simulator.scenario(b) for b in range(simulator.batch_size)]
+    lifetimes = [scenario.mean_lifetime if scenario.observe_lifetime else 0.0 for scenario in scenarios]
+    return Seen(
+        reference_load=float(chain.mean()),
+        reference_units=float(tables.load_units.sum(axis=1).mean()),
+        price_unit=PRICE_UNIT * mean_cost,
+        mean_cost=mean_cost,
+        chain_load=chain,
+        largest_units=tables.load_units.max(axis=1),
+        mean_lifetime=np.array(lifetimes),
+    )
+
+
+def make_price_scratch(tables: Tables) -> PriceScratch:
+    """Scratch arrays for any network and service of ``tables``."""
+    return PriceScratch(make_scratch(tables), np.zeros(MOST_FEATURES))
+
+
+def grow_price_scratch(tables: Tables, scratch: PriceScratch) -> PriceScratch:
+    """Twice the labels of ``scratch``."""
+    return scratch._replace(search=grow_scratch(tables, scratch.search))
+
+
+@inlined
+def _value(head, x):
+    features = head.linear.size - 1
+    total = head.linear[features]
+    for k in range(features):
+        total += head.linear[k] * x[k]
+    for h in range(head.out.size):
+        inner = head.hidden[h, features]
+        for k in range(features):
+            inner += head.hidden[h, k] * x[k]
+        total += head.out[h] * np.tanh(inner)
+    return total
+
+
+@inlined
+def _powers(x, used):
+    x[0] = used
+    square = used * used
+    x[1] = square * square
+    fourth = x[1] * x[1]
+    x[2] = fourth * fourth
+
+
+@part
+def _price_vms(world, b, weights, seen, load, lifetime, x, vm_price):
+    """Fill ``vm_price`` [N, V], $ per Mcycles/s."""
+    tables, e = world.tables, world.env[b]
+    offered = world.ledger.vm_offered
+    net = e.net
+    largest = seen.largest_units[e.service]
+    network_used = e.vm_used / tables.vm_total[net]
+    for node in range(tables.num_nodes[net]):
+        free, total = np.int64(0), np.int64(0)
+        for vm in range(tables.vm_count[net, node]):
+            free += offered[b, node, vm]
+            total += tables.vm_capacity[net, node, vm]
+        for vm in range(tables.vm_count[net, node]):
+            here = offered[b, node, vm]
+            _powers(x, 1.0 - here / tables.vm_capacity[net, node, vm])
+            x[3] = seen.reference_units / (seen.reference_units + here)
+            x[4] = largest / (largest + here)
+            x[5] = 1.0 - free / total
+            x[6] = network_used
+            x[7] = tables.vm_unit_cost[net, node, vm] / seen.mean_cost[net] - 1.0
+            x[8] = load
+            x[9] = lifetime
+            rise = max(_value(weights.vm, x), 0.0) * seen.price_unit[net]
+            vm_price[node, vm] = tables.vm_unit_cost[net, node, vm] + rise
+
+
+@part
+def _price_links(world, b, weights, seen, load, lifetime, x, link_price):
+    """Fill ``link_price`` [L], $ per Mbit/s."""
+    tables, e = world.tables, world.env[b]
+    offered = world.ledger.link_offered
+    net = e.net
+    rate = tables.rate_units[e.service]
+    network_used = e.link_used / tables.link_total[net]
+    for link in range(tables.num_links[net]):
+        here = offered[b, link]
+        _powers(x, 1.0 - here / tables.link_capacity[net, link])
+        x[3] = rate / (rate + here)
+        x[4] = network_used
+        x[5] = load
+        x[6] = lifetime
+        rise = max(_value(weights.link, x), 0.0) * seen.price_unit[net]
+        link_price[link] = tables.link_unit_cost[net, link] + rise
+
+
+@part
+def _tightest(world, b, seen, steps, plan):
+    """Largest d / (d + free) over the VMs that the plan uses, free being what it leaves there."""
+    tables, e = world.tables, world.env[b]
+    vms = world.ledger.vm_offered.shape[2]
+    largest = seen.largest_units[e.service]
+    worst = 0.0
+    function = 0
+    for k in range(steps):
+        if plan[k] % 2 == 0:
+            continue
+        place = plan[k] // 2
+        free = world.ledger.vm_offered[b, place // vms, place % vms] - tables.load_units[e.service, function]
+        worst = max(worst, largest / (largest + max(free, 0)))
+        function += 1
+    return worst
+
+
+@part
+def _refuses(world, b, weights, seen, load, lifetime, steps, scratch, plan):
+    """Whether the walk just found is not worth having."""
+    tables, e = world.tables, world.env[b]
+    x, result = scratch.x, scratch.search.result
+    unit = seen.price_unit[e.net] * seen.reference_load
+    used = e.vm_used / tables.vm_total[e.net]
+    x[0] = np.log(result[0] / unit + 1e-9) / 3.0
+    x[1] = np.log(result[1] / unit + 1e-9) / 3.0
+    x[2] = _tightest(world, b, seen, steps, plan)
+    x[3] = used
+    x[4] = used * used * used * used
+    x[5] = e.link_used / tables.link_total[e.net]
+    x[6] = load
+    x[7] = lifetime
+    return _value(weights.admit, x) > 0.0
+
+
+@kernel
+def plan_learned(world, b, weights, seen, scratch, plan):
+    """Plan the request of environment b.
+
+    Args:
+        world: the simulator's ``World``; only read.
+        b: environment.
+        weights: ``PriceWeights``.
+        seen: ``Seen`` of the simulator.
+        scratch: ``PriceScratch``.
+        plan: receives the actions, int64 [max_steps].
+
+    Returns:
+        Number of actions, 0 if infeasible or refused, OVERFLOW (-1) if the scratch must grow.
+    """
+    tables, e, search = world.tables, world.env[b], scratch.search
+    load = 0.5 * np.log(seen.chain_load[e.service] / seen.reference_load)
+    lifetime = 0.0
+    mean = seen.mean_lifetime[b]
+    if mean > 0.0:
+        lifetime = np.log(min(max(e.lifetime / mean, 0.05 / LONGEST), LONGEST))
+    _price_vms(world, b, weights, seen, load, lifetime, scratch.x, search.vm_price)
+    _price_links(world, b, weights, seen, load, lifetime, scratch.x, search.link_price)
+    steps = plan_cheapest(
+        tables,
+        world.rules,
+        e.net,
+        world.ledger.vm_offered[b],
+        world.ledger.link_offered[b],
+        search.vm_price,
+        search.link_price,
+        e.service,
+        e.ingress,
+        e.egress,
+        search,
+        plan,
+    )
+    if steps > 0 and _refuses(world, b, weights, seen, load, lifetime, steps, scratch, plan):
+        return 0
+    return steps
+
+
+@kernel
+def plan_learned_rows(world, rows, weights, seen, scratch, plans, lengths):
+    """``plan_learned`` for every environment in ``rows``; returns how many were answered before an overflow."""
+    for done in range(rows.size):
+        b = rows[done]
+        lengths[b] = plan_learned(world, b, weights, seen, scratch, plans[b])
+        if lengths[b] == OVERFLOW:
+            return done
+    return rows.size
+
+
+@kernel
+def play_learned(world, b, weights, seen, scratch, plan, costs):
+    """Answer the requests of environment b by ``plan_learned`` to the end of its horizon.
+
+    ``costs`` float64 [R] receives what each cost ($), NaN if it was not accepted. Returns FINISHED, NO_ROOM if the
+    simulator's pools run low, or OVERFLOW if the scratch must grow; call again to go on.
+    """
+    e = world.env[b]
+    while e.done == 0:
+        if not has_room(world, b):
+            return NO_ROOM
+        steps = plan_learned(world, b, weights, seen, scratch, plan)
+        if steps == OVERFLOW:
+            return OVERFLOW
+        request = e.cursor
+        costs[request] = play_plan(world, b, steps, plan)
+    return FINISHED
+
+
+class LearnedPrices:
+    """A method of evaluations and training: plans each request when it arrives, then plays the plan.
+
+    Args:
+        weights: of the three functions, such as ``PriceNetwork.weights()``.
+        name: what tables and folders call it.
+    """
+
+    decides_admission = True
+    mask = None
+    one_hot = False
+
+    def __init__(self, weights: PriceWeights, *, name: str = "learned_prices") -> None:
+        self.weights, self.name = weights, name
+
+    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+        """See ``evaluation.methods.Method``."""
+        self._seen = measures(simulator)
+        self._scratch = make_price_scratch(simulator.tables)
+        self._rows = np.arange(simulator.batch_size)
+        self._plans = np.zeros((simulator.batch_size, simulator.world.rules.max_steps), np.int64)
+        self._lengths = np.zeros(simulator.batch_size, np.int64)
+        self._plan(simulator, self._rows[:0])
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        """See ``evaluation.methods.Method``."""
+        env = simulator.world.env
+        steps = env["steps"]
+        fresh = np.flatnonzero((steps == 0) & (env["done"] == 0))
+        if fresh.size:
+            self._plan(simulator, fresh)
+        return np.where(steps < self._lengths, self._plans[self._rows, steps], simulator.num_actions - 1)
+
+    def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
+        """Answer all requests of environment b, compiled; ``prepare`` was called. ``costs`` as in ``play_learned``."""
+        while True:
+            outcome = play_learned(
+                simulator.world, b, self.weights, self._seen, self._scratch, self._plans[b], costs
+            )
+            if outcome == FINISHED:
+                return
+            if outcome == NO_ROOM:
+                simulator.make_room_for(b)
+            else:
+                self._scratch = grow_price_scratch(simulator.tables, self._scratch)
+
+    def _plan(self, simulator: Simulator, rows: np.ndarray) -> None:
+        while True:
+            done = plan_learned_rows(
+                simulator.world, rows, self.weights, self._seen, self._scratch, self._plans, self._lengths
+            )
+            if done == rows.size:
+                return
+            rows = rows[done:]
+            self._scratch = grow_price_scratch(simulator.tables, self._scratch)
