@@ -45,6 +45,8 @@ class PriceNetwork(nn.Module):
         ScenarioError: ``hidden`` is negative.
     """
 
+    any_size = True
+
     def __init__(self, *, hidden: int = 4) -> None:
         super().__init__()
         if hidden < 0:

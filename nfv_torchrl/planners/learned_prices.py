@@ -335,9 +335,7 @@ class LearnedPrices:
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
         """Answer all requests of environment b, compiled; ``prepare`` was called. ``costs`` as in ``play_learned``."""
         while True:
-            outcome = play_learned(
-                simulator.world, b, self.weights, self._seen, self._scratch, self._plans[b], costs
-            )
+            outcome = play_learned(simulator.world, b, self.weights, self._seen, self._scratch, self._plans[b], costs)
             if outcome == FINISHED:
                 return
             if outcome == NO_ROOM:

@@ -19,6 +19,8 @@ class Stream(IntEnum):
     FAILURES = 4
     START = 5
     EXPLORATION = 6
+    NETWORKS = 7
+    EVOLUTION = 8
 
 
 def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:

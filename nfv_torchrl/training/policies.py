@@ -10,7 +10,7 @@ from hydra.utils import instantiate
 from torch import nn
 
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.evaluation.methods import PlannerMethod, PolicyMethod
+from nfv_torchrl.evaluation.methods import Method, PlannerMethod, PolicyMethod
 from nfv_torchrl.networks import QNetwork, Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
@@ -58,11 +58,12 @@ def load_policy(
     *,
     name: str = "checkpoint",
     trusted_packages: Sequence[str] = (),
-) -> PolicyMethod | PlannerMethod:
+) -> Method:
     """The greedy policy of a file (``best.pt`` or a full checkpoint of a run) for ``scenario``.
 
     It acts under the mask that it was trained with, and may always reject if it could in training. A policy that was
-    trained to be asked by a planner (NFVdeep) comes as that planner's method.
+    trained to be asked by a planner (NFVdeep) comes as that planner's method. What stands in for a loss in the file (the
+    policies of ``evolution``) says by its own ``method(name)`` how it acts.
 
     Args:
         path: the file.
@@ -98,6 +99,8 @@ def load_policy(
         )
     loss.load_state_dict(content["weights"])
     loss.actor.eval()
+    if hasattr(loss, "method"):
+        return loss.method(name)
     if planner:
         return PlannerMethod(planner.follow(loss.actor), name=name)
     return PolicyMethod(
@@ -110,10 +113,39 @@ def load_policy(
     )
 
 
+def load_weights(network: nn.Module, path: str | os.PathLike[str]) -> None:
+    """Set the weights of a network to those in a policy file, whatever loss or recipe trained them.
+
+    Args:
+        network: a network such as the file's.
+        path: the policy file.
+
+    Raises:
+        CheckpointError: unreadable, or its network has other weights than this one.
+    """
+    content = load_file(path)
+    weights = content.get("policy", content).get("weights", {})
+    own = network.state_dict()
+    # Losses keep their networks under names of their own; the end of a name is the network's.
+    found = {name: next((value for key, value in weights.items() if _is_weight(key, name)), None) for name in own}
+    for name, value in found.items():
+        if value is None or value.shape != own[name].shape:
+            theirs = "nothing" if value is None else list(value.shape)
+            raise CheckpointError(
+                f"{path} has {theirs} where this network has {name} {list(own[name].shape)}; give the settings of "
+                "network= that the file was trained with"
+            )
+    network.load_state_dict(found)
+
+
+def _is_weight(key: str, name: str) -> bool:
+    return not key.startswith("target_") and f".{key}".endswith(f".{name}")
+
+
 def q_network(loss: Any) -> QNetwork:
-    """The Q-network inside a loss's actor."""
+    """The Q-network inside a loss's actor, or what takes its place there and says whether it fits any size."""
     for module in loss.actor.modules():
-        if isinstance(module, QNetwork):
+        if isinstance(module, QNetwork) or hasattr(module, "any_size"):
             return module
     raise CheckpointError("the loss's actor holds no QNetwork; derive the network from nfv_torchrl.networks.QNetwork")
 

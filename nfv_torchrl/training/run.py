@@ -26,7 +26,7 @@ from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import policy_content, q_network, save_policy
 from nfv_torchrl.training.setup import set_aside
 
-MAY_CHANGE = ("resume", "run_dir", "device", "logger", "checkpoint")
+MAY_CHANGE = ("resume", "run_dir", "device", "logger", "checkpoint", "generations")
 """Config keys that a resumed run may set anew; so may ``collector.total_frames``."""
 
 
@@ -37,6 +37,7 @@ class Progress:
     iteration: int = 0
     frames: int = 0
     updates: int = 0
+    best_fitness: float = float("-inf")  # of evolution; other recipes go by AAR and cost
     best_aar: float = -1.0
     best_cost: float = float("inf")
     best_frames: int = 0

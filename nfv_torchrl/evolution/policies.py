@@ -1,0 +1,137 @@
+"""What evolution can shape: a network, the method that acts by it, and its compiled play of whole horizons.
+
+Each takes the place of a loss in a policy file: it holds the network's weights and has an ``actor``, so that what
+evolution found is loaded and evaluated like any other policy.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import nn
+
+from nfv_torchrl.evaluation.methods import Method, PolicyMethod
+from nfv_torchrl.evolution.candidate_play import CandidatePlay
+from nfv_torchrl.losses.base import greedy_actor
+from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.networks.prices import PriceNetwork
+from nfv_torchrl.planners.learned_prices import LearnedPrices
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+
+
+class Player(Protocol):
+    """Plays whole horizons with fixed weights."""
+
+    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+        """Called once for a simulator, before it plays there."""
+
+    def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
+        """Answer all requests of environment b, whose horizon has begun.
+
+        ``costs`` float64 [R] receives what each request cost ($), NaN if it was not accepted.
+        """
+
+
+class Evolvable(nn.Module):
+    """A policy whose parameters evolution sets, as one vector float32 [P].
+
+    Attributes:
+        network: holds the parameters.
+        actor: the network, or the TorchRL actor around it.
+        one_hot: whether its observation has the one-hot request features.
+    """
+
+    network: nn.Module
+    actor: nn.Module
+    one_hot = False
+
+    def vector(self) -> np.ndarray:
+        """All parameters, float32 [P]."""
+        return nn.utils.parameters_to_vector(self.parameters()).detach().cpu().numpy().astype(np.float32)
+
+    def set_vector(self, vector: np.ndarray) -> None:
+        """Set all parameters from [P] numbers, rounded to float32."""
+        values = torch.from_numpy(np.ascontiguousarray(vector, np.float32))
+        nn.utils.vector_to_parameters(values, self.parameters())
+
+    def with_vector(self, vector: np.ndarray) -> Evolvable:
+        """A copy with other parameters."""
+        other = copy.deepcopy(self)
+        other.set_vector(vector)
+        return other
+
+    def player(self) -> Player:
+        """Its compiled play."""
+        raise NotImplementedError
+
+    def settings(self, scenario: Scenario) -> Scenario:
+        """The scenario as this policy runs it."""
+        raise NotImplementedError
+
+    def method(self, name: str) -> Method:
+        """It as a method of evaluations."""
+        raise NotImplementedError
+
+
+class PricePolicy(Evolvable):
+    """Learned prices and a learned refusal inside the exact search (``planners/learned_prices.py``).
+
+    Args:
+        network: factory of a ``PriceNetwork``; it is called without sizes, as it fits any network.
+        sizes: not used; any policy is made with them.
+    """
+
+    def __init__(self, network: Any, sizes: Sizes | None = None) -> None:
+        super().__init__()
+        self.network = network()
+        self.__dict__["actor"] = self.network
+
+    def player(self) -> Player:
+        """See ``Evolvable``."""
+        return LearnedPrices(self.network.weights())
+
+    def settings(self, scenario: Scenario) -> Scenario:
+        """Refusals are its own decisions."""
+        return scenario.replace(admission_control=True)
+
+    def method(self, name: str) -> LearnedPrices:
+        """See ``Evolvable``."""
+        return LearnedPrices(self.network.weights(), name=name)
+
+
+class CandidatePolicy(Evolvable):
+    """The candidate network step by step, its highest score acts; ``reject`` is one of its candidates.
+
+    Args:
+        network: factory of a ``CandidateNetwork`` with ReLU or Tanh layers.
+        sizes: of observation and actions.
+    """
+
+    def __init__(self, network: NetworkFactory, sizes: Sizes) -> None:
+        super().__init__()
+        self.network = network(sizes)
+        self.__dict__["actor"] = greedy_actor(self.network, sizes.actions)
+
+    def player(self) -> Player:
+        """See ``Evolvable``."""
+        return CandidatePlay(self.network)
+
+    def settings(self, scenario: Scenario) -> Scenario:
+        """It chooses among steps that can succeed, and may always reject."""
+        return scenario.replace(admission_control=True, mask="feasible")
+
+    def method(self, name: str) -> PolicyMethod:
+        """See ``Evolvable``."""
+        return PolicyMethod(
+            self.actor,
+            self.network.observations(),
+            one_hot=self.one_hot,
+            name=name,
+            mask="feasible",
+            decides_admission=True,
+        )

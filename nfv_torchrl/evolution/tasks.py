@@ -1,0 +1,118 @@
+"""What a generation is measured on: a network and the requests of one horizon, the same for every candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.config import parse_config
+from nfv_torchrl.scenario.failures import FailureTimeline
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.scenario.workload import Workload
+
+FIRST_SCENARIO_SEED = 1_000_000
+"""Networks drawn here have scenario seeds from this on, so they are never those of an evaluation (0, 1, ...)."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One horizon: a scenario with the requests and failures that every candidate meets."""
+
+    scenario: Scenario
+    workload: Workload
+    timeline: FailureTimeline
+
+    @classmethod
+    def of(cls, scenario: Scenario, seed: int, *key: int) -> Task:
+        """The horizon of workload seed ``seed``, split further by ``key`` (evaluations use none)."""
+        return cls(scenario, scenario.workload(seed, *key), scenario.failure_timeline(seed, *key))
+
+
+class FixedNetwork:
+    """The network of one scenario, with requests of its own in every generation.
+
+    Args:
+        scenario: the recipe's scenario config.
+    """
+
+    def __init__(self, scenario: Mapping[str, Any]) -> None:
+        self.scenario = Scenario.from_config(scenario)
+
+    def draw(self, seed: int, generation: int, count: int) -> list[Task]:
+        """``count`` tasks, always the same for the same arguments."""
+        return [Task.of(self.scenario, seed, generation, k) for k in range(count)]
+
+
+class RandomNetworks:
+    """Every task on a random network of its own: size, degree, VMs a node and offered load are drawn.
+
+    Args:
+        scenario: the recipe's scenario config, for everything else.
+        nodes: [low, high], N, log-uniform.
+        mean_degree: [low, high], uniform.
+        vms_max: [low, high], integer uniform.
+        rho: [low, high], offered load, log-uniform; VM capacities are scaled to it.
+        arrival_rate: values of lambda to choose from.
+        colocation: values to go through in turn, such as ``[false, true]``.
+        horizon: values of T to choose from.
+
+    Raises:
+        ScenarioError: an empty range or list.
+    """
+
+    def __init__(
+        self,
+        scenario: Mapping[str, Any],
+        *,
+        nodes: Sequence[int] = (10, 50),
+        mean_degree: Sequence[float] = (3.0, 5.0),
+        vms_max: Sequence[int] = (2, 6),
+        rho: Sequence[float] = (0.3, 3.0),
+        arrival_rate: Sequence[float] = (10.0, 25.0),
+        colocation: Sequence[bool] = (False, True),
+        horizon: Sequence[int] = (1000,),
+    ) -> None:
+        for name, ends in (("nodes", nodes), ("mean_degree", mean_degree), ("vms_max", vms_max), ("rho", rho)):
+            if len(ends) != 2 or not 0 < ends[0] <= ends[1]:
+                raise ScenarioError(f"tasks.{name}: {list(ends)}; give [low, high] with 0 < low <= high")
+        for name, values in (("arrival_rate", arrival_rate), ("colocation", colocation), ("horizon", horizon)):
+            if not len(values):
+                raise ScenarioError(f"tasks.{name}: is empty; give at least one value")
+        parse_config(scenario)  # refuses unknown keys now
+        self.base = dict(scenario)
+        self.nodes, self.mean_degree, self.vms_max, self.rho = nodes, mean_degree, vms_max, rho
+        self.arrival_rate, self.colocation, self.horizon = arrival_rate, colocation, horizon
+
+    def draw(self, seed: int, generation: int, count: int) -> list[Task]:
+        """``count`` tasks, always the same for the same arguments."""
+        return [self._task(seed, generation, k, count) for k in range(count)]
+
+    def _task(self, seed: int, generation: int, k: int, count: int) -> Task:
+        rng = generator(seed, Stream.NETWORKS, generation, k)
+        nodes = round(_log_uniform(rng, *self.nodes))
+        substrate = {
+            **self.base.get("substrate", {}),
+            "nodes": nodes,
+            "mean_degree": float(rng.uniform(*self.mean_degree)),
+            "vms_max": int(rng.integers(self.vms_max[0], self.vms_max[1], endpoint=True)),
+            "target_rho": _log_uniform(rng, *self.rho),
+        }
+        config = {
+            **self.base,
+            "name": f"random_{generation}_{k}",
+            "seed": int(rng.integers(FIRST_SCENARIO_SEED, 2**31)),
+            "arrival_rate": float(rng.choice(self.arrival_rate)),
+            "horizon": int(rng.choice(self.horizon)),
+            "colocation": bool(self.colocation[(generation * count + k) % len(self.colocation)]),
+            "substrate": substrate,
+        }
+        return Task.of(Scenario.from_config(config), seed, generation, k)
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

@@ -1,0 +1,122 @@
+"""Evolve a policy on whole horizons, explicitly, top to bottom.
+
+    python recipes/evolution.py                                   # learned prices, trained on random networks
+    python recipes/evolution.py policy=candidate tasks=fixed_network scenario.colocation=true
+    python recipes/evolution.py run_dir=runs/evolution resume=true
+
+Every generation draws horizons, lets every candidate play the same ones in the compiled simulator, and tells CMA-ES
+how much each won over the exact search of every request by itself (``myopic_optimal``). What a refusal is worth shows
+thousands of requests later, and here all of them count. A frame is one request answered. The policy is the centre of
+the search; ``best.pt`` is the one that was fittest on held-out horizons.
+"""
+
+from __future__ import annotations
+
+import time
+from statistics import fmean
+
+import hydra
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from torchrl.checkpoint import GlobalRNGState
+from tqdm import tqdm
+
+from nfv_torchrl.evaluation.network_figure import draw_utilisation
+from nfv_torchrl.evaluation.records import RunRecord
+from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.evolution import Strategy, Task
+from nfv_torchrl.evolution.fitness import Arena, summary
+from nfv_torchrl.evolution.policies import Evolvable
+from nfv_torchrl.networks import Sizes
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.policies import load_weights, policy_content, save_policy
+from nfv_torchrl.training.run import Progress, RunFolder
+from nfv_torchrl.training.setup import StopRequest, run_folder, seed_everything, set_threads
+
+
+@hydra.main(config_path="config", config_name="evolution", version_base=None)
+@clear_errors
+def main(cfg: DictConfig) -> None:
+    set_threads(1)  # the threads are the arena's
+    seed_everything(cfg.seed)
+    config = OmegaConf.to_container(cfg, resolve=True)
+    scenario = Scenario.from_config(config["scenario"])
+    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
+
+    # What evolves, from where, and what it is measured by.
+    sizes = Sizes.of(Simulator(scenario, 1))
+    policy = instantiate(cfg.policy, network=instantiate(cfg.network), sizes=sizes)
+    if cfg.start is not None:
+        load_weights(policy.network, cfg.start)
+    tasks = instantiate(config["tasks"], scenario=config["scenario"])
+    held_out = tasks.draw(cfg.eval.seed, 0, cfg.eval.tasks)
+    arena = Arena(threads=cfg.threads, **cfg.fitness)
+    strategy = Strategy(policy.vector(), **cfg.strategy, seed=cfg.seed)
+
+    progress = Progress()
+    state = {"strategy": strategy, "progress": progress, "rng": GlobalRNGState()}
+    folder.load(state)
+    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/fitness", "eval/aar_gain", "eval/paired_cost"))
+    bar = tqdm(total=cfg.generations, initial=strategy.generation, unit="generation", disable=None)
+
+    def evaluate() -> None:
+        """The centre of the search on held-out horizons; keep it if it is the fittest so far."""
+        centre = policy.with_vector(strategy.mean)
+        (scores,) = arena.scores([centre], held_out)
+        values = summary(scores)
+        logger.scalars({f"eval/{name}": value for name, value in values.items()}, progress.frames)
+        if cfg.logger.figures:
+            logger.figure("network/utilisation", draw_utilisation(play(centre, held_out[0])), progress.frames)
+        if values["fitness"] > progress.best_fitness:
+            progress.best_fitness, progress.best_aar = values["fitness"], values["aar"]
+            progress.best_frames = progress.frames
+            parts = {**config, "loss": config["policy"]}
+            save_policy(
+                folder.path / "best.pt", policy_content(centre, sizes, parts, centre.settings(scenario), values)
+            )
+
+    with StopRequest() as stop:
+        while strategy.generation < cfg.generations and not stop.asked:
+            started = time.perf_counter()
+            horizons = tasks.draw(cfg.seed, strategy.generation, cfg.generation.tasks)
+            candidates = [policy.with_vector(vector) for vector in strategy.ask()]
+            scores = arena.scores(candidates, horizons)
+            fitness = [fmean(score.fitness for score in row) for row in scores]
+            strategy.tell(fitness)
+
+            played = len(candidates) * sum(len(task.workload) for task in horizons)
+            progress.frames += played
+            progress.iteration += 1
+            metrics = {f"train/{name}": value for name, value in summary([s for row in scores for s in row]).items()}
+            metrics |= {"train/fitness_best": max(fitness), "train/sigma": strategy.sigma}
+            metrics["speed/requests_per_second"] = played / (time.perf_counter() - started)
+            logger.scalars(metrics, progress.frames)
+            bar.set_postfix_str(f"fitness {metrics['train/fitness']:+.3f}, best {max(fitness):+.3f}")
+            bar.update()
+            if cfg.eval.interval and strategy.generation % cfg.eval.interval == 0:
+                evaluate()
+            if strategy.generation % cfg.checkpoint.interval == 0:
+                folder.save(state, progress.frames)
+
+    bar.close()
+    if cfg.eval.interval and strategy.generation % cfg.eval.interval and not stop.asked:
+        evaluate()
+    folder.save(state, progress.frames)
+    logger.close()
+    arena.close()
+    print(f"Processor time: {time.process_time():.0f} s")
+    folder.print_ending(interrupted=stop.asked)
+
+
+def play(policy: Evolvable, task: Task) -> RunRecord:
+    """The record of a policy on one task, for the picture."""
+    (record,) = run_method(task.scenario, policy.method("policy"), [0], workloads=[task.workload])
+    return record
+
+
+if __name__ == "__main__":
+    main()
