@@ -98,7 +98,7 @@ class PlannerMethod:
     """
 
     decides_admission = True
-    mask = None
+    mask: str | None = None
     one_hot = False
 
     def __init__(self, planner: Planner, *, name: str) -> None:

@@ -7,17 +7,18 @@ evolution found is loaded and evaluated like any other policy.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import nn
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import Method, PolicyMethod
 from nfv_torchrl.evolution.candidate_play import CandidatePlay
 from nfv_torchrl.losses.base import greedy_actor
-from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.networks import CandidateNetwork, NetworkFactory, Sizes
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.scenario.scenario import Scenario
@@ -86,7 +87,9 @@ class PricePolicy(Evolvable):
         sizes: not used; any policy is made with them.
     """
 
-    def __init__(self, network: Any, sizes: Sizes | None = None) -> None:
+    network: PriceNetwork
+
+    def __init__(self, network: Callable[[], PriceNetwork], sizes: Sizes | None = None) -> None:
         super().__init__()
         self.network = network()
         self.__dict__["actor"] = self.network
@@ -110,11 +113,19 @@ class CandidatePolicy(Evolvable):
     Args:
         network: factory of a ``CandidateNetwork`` with ReLU or Tanh layers.
         sizes: of observation and actions.
+
+    Raises:
+        ScenarioError: another network.
     """
+
+    network: CandidateNetwork
 
     def __init__(self, network: NetworkFactory, sizes: Sizes) -> None:
         super().__init__()
-        self.network = network(sizes)
+        made = network(sizes)
+        if not isinstance(made, CandidateNetwork):
+            raise ScenarioError(f"policy: {type(made).__name__} is no CandidateNetwork; set network=candidate")
+        self.network = made
         self.__dict__["actor"] = greedy_actor(self.network, sizes.actions)
 
     def player(self) -> Player:

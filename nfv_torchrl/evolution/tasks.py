@@ -98,7 +98,7 @@ class RandomNetworks:
         substrate = {
             **self.base.get("substrate", {}),
             "nodes": nodes,
-            "mean_degree": float(rng.uniform(*self.mean_degree)),
+            "mean_degree": float(rng.uniform(self.mean_degree[0], self.mean_degree[1])),
             "vms_max": int(rng.integers(self.vms_max[0], self.vms_max[1], endpoint=True)),
             "target_rho": _log_uniform(rng, *self.rho),
         }

@@ -67,7 +67,11 @@ class Head(NamedTuple):
 
 
 class PriceWeights(NamedTuple):
-    """The three functions; a VM's or link's price is max(0, f) price units, a request with f > 0 is refused."""
+    """The three functions.
+
+    A VM or link costs max(0, f) price units times its used share above its unit cost: an empty one costs what it costs.
+    A request with f > 1 is refused: weights near zero refuse hardly anything.
+    """
 
     vm: Head
     link: Head
@@ -168,7 +172,7 @@ def _price_vms(world, b, weights, seen, load, lifetime, x, vm_price):
             x[7] = tables.vm_unit_cost[net, node, vm] / seen.mean_cost[net] - 1.0
             x[8] = load
             x[9] = lifetime
-            rise = max(_value(weights.vm, x), 0.0) * seen.price_unit[net]
+            rise = x[0] * max(_value(weights.vm, x), 0.0) * seen.price_unit[net]
             vm_price[node, vm] = tables.vm_unit_cost[net, node, vm] + rise
 
 
@@ -187,7 +191,7 @@ def _price_links(world, b, weights, seen, load, lifetime, x, link_price):
         x[4] = network_used
         x[5] = load
         x[6] = lifetime
-        rise = max(_value(weights.link, x), 0.0) * seen.price_unit[net]
+        rise = x[0] * max(_value(weights.link, x), 0.0) * seen.price_unit[net]
         link_price[link] = tables.link_unit_cost[net, link] + rise
 
 
@@ -224,7 +228,7 @@ def _refuses(world, b, weights, seen, load, lifetime, steps, scratch, plan):
     x[5] = e.link_used / tables.link_total[e.net]
     x[6] = load
     x[7] = lifetime
-    return _value(weights.admit, x) > 0.0
+    return _value(weights.admit, x) > 1.0
 
 
 @kernel
@@ -308,7 +312,7 @@ class LearnedPrices:
     """
 
     decides_admission = True
-    mask = None
+    mask: str | None = None
     one_hot = False
 
     def __init__(self, weights: PriceWeights, *, name: str = "learned_prices") -> None:

@@ -62,8 +62,8 @@ def load_policy(
     """The greedy policy of a file (``best.pt`` or a full checkpoint of a run) for ``scenario``.
 
     It acts under the mask that it was trained with, and may always reject if it could in training. A policy that was
-    trained to be asked by a planner (NFVdeep) comes as that planner's method. What stands in for a loss in the file (the
-    policies of ``evolution``) says by its own ``method(name)`` how it acts.
+    trained to be asked by a planner (NFVdeep) comes as that planner's method. What stands in for a loss in the file
+    (the policies of ``evolution``) says by its own ``method(name)`` how it acts.
 
     Args:
         path: the file.
@@ -94,8 +94,8 @@ def load_policy(
     if not fits:
         raise CheckpointError(
             f"{path} was trained on {content['scenario']} with {trained.actions} actions and {trained.observation} "
-            f"observations; {scenarios[0].name} has {sizes.actions} and {sizes.observation}. Evaluate it on the scenario "
-            "(and scenario.seed sizes) it was trained on, or train with network=candidate, which fits any size"
+            f"observations; {scenarios[0].name} has {sizes.actions} and {sizes.observation}. Evaluate it on the "
+            "scenario (and scenario.seed sizes) it was trained on, or train with network=candidate, which fits any size"
         )
     loss.load_state_dict(content["weights"])
     loss.actor.eval()
