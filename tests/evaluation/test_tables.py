@@ -74,6 +74,13 @@ def test_methods_that_met_other_requests_are_not_compared():
         runs.add(replace(first_fit(runs.scenario, WORKLOADS[2], seed=1), method="late"))
 
 
+def test_methods_that_met_other_networks_are_not_compared():
+    runs = comparison(seeds=(1,))
+    elsewhere = first_fit(runs.scenario.replace(seed=9), WORKLOADS[1], method="late", seed=1)
+    with pytest.raises(ScenarioError, match="scenario seeds 0 and 9 under workload seed 1"):
+        runs.add(elsewhere)
+
+
 def test_headline_says_what_was_compared():
     assert headline(comparison()).startswith("rho = 0.14, scenario toy, lifetimes hidden, colocation off, ")
     seen = headline(comparison(seeds=(1,), observe_lifetime=True, colocation=True, warmup=1))

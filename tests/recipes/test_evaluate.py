@@ -100,6 +100,52 @@ def test_a_checkpoint_beside_a_planner(tmp_path, capsys):
     assert "nowhere.pt" in refused(capsys, "method=checkpoint", "checkpoint=nowhere.pt")
 
 
+def test_each_scenario_seed_meets_a_workload_seed_of_its_own(tmp_path, capsys):
+    """Networks differ from run to run but not from method to method; a run is the one its two seeds define."""
+    few = ["method=[greedy,myopic_optimal]", "scenario.horizon=20"]
+    evaluate(*few, "scenario_seeds=[3,5]", "seeds=[7,8]", "bounds=true", f"output={tmp_path / 'many'}")
+    printed = capsys.readouterr().out
+    loads = [Scenario.from_config(world(seed)).offered_load() for seed in (3, 5)]
+    assert printed.startswith(f"rho = {sum(loads) / 2:.2f} ({min(loads):.2f} to {max(loads):.2f})")
+    assert "2 scenario seeds with a workload seed each" in printed and "over scenario seeds (networks)" in printed
+    assert "bound: hindsight" in printed and "Audit, runs: 4," in printed
+    for method in ("greedy", "myopic_optimal"):
+        for scenario_seed, seed in ((3, 7), (5, 8)):
+            about = json.loads((tmp_path / "many" / method / f"seed_{seed}" / "scenario.json").read_text())
+            assert about["seeds"] == {"scenario": scenario_seed, "workload": seed}
+    evaluate(*few, "scenario.seed=5", "seeds=[8]", f"output={tmp_path / 'one'}")
+    decisions = Path("myopic_optimal") / "seed_8" / "decisions.jsonl"
+    assert (tmp_path / "one" / decisions).read_text() == (tmp_path / "many" / decisions).read_text()
+    with (tmp_path / "many" / "per_seed.csv").open() as file:
+        assert {(row["seed"], row["scenario_seed"]) for row in csv.DictReader(file)} == {("7", "3"), ("8", "5")}
+
+
+def world(seed: int) -> dict:
+    """The tiny scenario of a scenario seed as its yaml, with the horizon of the test above."""
+    with initialize_config_dir(str(ROOT / "recipes" / "config"), version_base=None):
+        config = compose("evaluate", [*TINY_SCENARIO, "scenario.horizon=20", f"scenario.seed={seed}"])
+    return OmegaConf.to_container(config, resolve=True)["scenario"]
+
+
+def test_scenario_seeds_of_a_real_topology(capsys):
+    """The topology stays; what is drawn on it changes."""
+    evaluate("scenario.substrate.path=abilene", "scenario.substrate.target_rho=1.5", "scenario.horizon=10",
+             "method=[greedy,priced_admit]", "scenario_seeds=3", "seeds=3")  # fmt: skip
+    printed = capsys.readouterr().out
+    assert printed.startswith("rho = 1.50 (1.50 to 1.50)") and "N = 11" in printed and "Audit, runs: 6," in printed
+
+
+def test_scenario_seeds_ask_for_a_policy_that_fits_every_network(tmp_path, capsys):
+    tiny_policy(tmp_path / "flat.pt")
+    tiny_policy(tmp_path / "candidate.pt", "network=candidate")
+    few = ["method=[greedy,checkpoint]", "scenario.horizon=5", "scenario_seeds=2", "seeds=2"]
+    larger = ["scenario.substrate.nodes=7", f"checkpoint={tmp_path / 'candidate.pt'}"]
+    evaluate(*few, *larger)
+    assert "Audit, runs: 4," in capsys.readouterr().out
+    error = refused(capsys, *few, f"checkpoint={tmp_path / 'flat.pt'}", "scenario.substrate.nodes=7")
+    assert "network=candidate, which fits any size" in error
+
+
 def test_a_given_network_and_workload_are_run_once(tmp_path, capsys):
     evaluate("method=greedy", "seeds=[3]", f"output={tmp_path / 'first'}")
     run_folder = tmp_path / "first" / "greedy" / "seed_3"
@@ -123,6 +169,9 @@ def test_refusals(tmp_path, capsys):
     assert "seeds" in refused(capsys, "seeds=0")
     assert "seeds" in refused(capsys, "seeds=[1,1]")
     assert "seeds" in refused(capsys, "seeds=[-1]")
+    assert "such as seeds=3" in refused(capsys, "scenario_seeds=3", "seeds=2")
+    assert "scenario_seeds: [1, 1]" in refused(capsys, "scenario_seeds=[1,1]", "seeds=2")
+    assert "leave one of them null" in refused(capsys, "scenario_seeds=2", "seeds=2", "scenario.workload.path=a.csv")
     assert "reference: 'tabu'" in refused(capsys, "reference=tabu")
     assert "no such key" in refused(capsys, "+colour=blue")
     assert "horizon" in refused(capsys, "scenario.horizon=0")
