@@ -3,6 +3,7 @@
     python recipes/dqn.py                        # scenario=paper preset=default
     python recipes/dqn.py scenario=geant loss=dqn network.hidden=[512,512]
     python recipes/dqn.py run_dir=runs/dqn resume=true
+    python recipes/dqn.py network=candidate init_from=runs/imitation/best.pt
 
 Copy, paste and change it: every part below can be replaced without touching the others.
 """
@@ -30,7 +31,7 @@ from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import clear_errors
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
-from nfv_torchrl.training.policies import q_network
+from nfv_torchrl.training.policies import load_weights, q_network
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
@@ -44,11 +45,14 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
-    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
 
     # Loss first: it makes the network, whose observations the environment has to emit.
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
     loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+    if cfg.init_from and not cfg.resume:
+        load_weights(q_network(loss), cfg.init_from)
+    # After all that may be refused: making the folder sets an older run aside.
+    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
     env = NFVEnv(
         scenario,
         cfg.collector.num_envs,

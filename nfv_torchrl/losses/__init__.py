@@ -1,22 +1,30 @@
 """How it learns: one file a loss. A recipe's yaml names the class by ``_target_``; there is no registry."""
 
+from nfv_torchrl.losses.across_requests import AcrossRequests
 from nfv_torchrl.losses.base import MaskedLoss, RequestLoss, greedy_actor, has_target
+from nfv_torchrl.losses.centred import CentredDQN
 from nfv_torchrl.losses.cql import CQL
+from nfv_torchrl.losses.differential import DifferentialDQN
 from nfv_torchrl.losses.discrete_sac import DiscreteSAC
 from nfv_torchrl.losses.dqn import DQN
 from nfv_torchrl.losses.imitation import Imitation
 from nfv_torchrl.losses.n_step import NStepDQN
 from nfv_torchrl.losses.quantile import QuantileDQN
+from nfv_torchrl.losses.slot_discount import SlotDiscountDQN
 
 __all__ = [
     "CQL",
     "DQN",
+    "AcrossRequests",
+    "CentredDQN",
+    "DifferentialDQN",
     "DiscreteSAC",
     "Imitation",
     "MaskedLoss",
     "NStepDQN",
     "QuantileDQN",
     "RequestLoss",
+    "SlotDiscountDQN",
     "greedy_actor",
     "has_target",
 ]

@@ -56,35 +56,44 @@ class NStepDQN(DQN):
         """Transitions of up to n steps, [B, T] flattened."""
         after = data.get("next")
         stop = after.get(self.stop_at) | after.get("done")
-        total, steps = n_step_returns(after.get("reward").squeeze(-1), stop.squeeze(-1), self.n, self.gamma)
-        rows = torch.arange(data.shape[0], device=steps.device).unsqueeze(-1)
-        last = torch.arange(data.shape[1], device=steps.device) + steps - 1
+        total, steps, _ = n_step_returns(after.get("reward").squeeze(-1), stop.squeeze(-1), self.n, self.gamma)
         out = data.select(*self.in_keys)
-        out.set("next", out.get("next")[rows, last])
+        out.set("next", out.get("next")[last_of_sums(steps)])
         out.set(("next", "reward"), total.unsqueeze(-1))
         out.set("steps_to_next_obs", steps.unsqueeze(-1))
         return out.reshape(-1)
 
 
-def n_step_returns(reward: Tensor, stop: Tensor, n: int, gamma: float) -> tuple[Tensor, Tensor]:
-    """Discounted sums of up to ``n`` rewards from each step on, and how many were summed.
+def n_step_returns(
+    reward: Tensor, stop: Tensor, n: int, gamma: float | Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Discounted sums of up to ``n`` rewards from each step on.
 
     Args:
         reward: float32 [B, T].
         stop: bool [B, T]; nothing after such a step belongs to the same sum.
         n: most rewards to sum.
-        gamma: discount per step.
+        gamma: discount of what follows a step: one number, or float32 [B, T] if it differs from step to step.
 
     Returns:
-        float32 [B, T] and int64 [B, T].
+        The sums, float32 [B, T]; how many rewards each has, int64 [B, T]; the discount of what follows the last of
+        them, the product of theirs, float32 [B, T].
     """
-    total, steps = reward.clone(), torch.ones_like(stop, dtype=torch.int64)
+    discount = torch.as_tensor(gamma, dtype=reward.dtype, device=reward.device).expand_as(reward)
+    total, steps, ahead = reward.clone(), torch.ones_like(stop, dtype=torch.int64), discount.clone()
     going = ~stop  # whether the sum that begins here is still open
     for i in range(1, min(n, reward.shape[1])):
         # The last i steps have no i-th successor: their sums end with the batch.
         begin = slice(0, reward.shape[1] - i)
         still = going[:, begin]
-        total[:, begin] += gamma**i * reward[:, i:] * still
+        total[:, begin] += ahead[:, begin] * reward[:, i:] * still
         steps[:, begin] += still
+        ahead[:, begin] *= torch.where(still, discount[:, i:], 1.0)
         going[:, begin] = still & ~stop[:, i:]
-    return total, steps
+    return total, steps, ahead
+
+
+def last_of_sums(steps: Tensor) -> tuple[Tensor, Tensor]:
+    """Where in [B, T] the last reward of each sum is, to index with, from ``steps`` int64 [B, T]."""
+    rows = torch.arange(steps.shape[0], device=steps.device).unsqueeze(-1)
+    return rows, torch.arange(steps.shape[1], device=steps.device) + steps - 1
