@@ -144,7 +144,9 @@ def _is_weight(key: str, name: str) -> bool:
 
 def q_network(loss: Any) -> QNetwork:
     """The Q-network inside a loss's actor, or what takes its place there and says whether it fits any size."""
-    for module in loss.actor.modules():
+    modules = list(loss.actor.modules())
+    # The network itself first: TensorDict's modules pass on the attributes of what they hold.
+    for module in (*(each for each in modules if isinstance(each, QNetwork)), *modules):
         if isinstance(module, QNetwork) or hasattr(module, "any_size"):
             return module
     raise CheckpointError("the loss's actor holds no QNetwork; derive the network from nfv_torchrl.networks.QNetwork")
