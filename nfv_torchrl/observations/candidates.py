@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numba import njit
 from tensordict import TensorDict
 from torchrl.data import Binary, Composite, Unbounded
 
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.simulator.kernels import PASSES, _find_link, check_step
+from nfv_torchrl.simulator.compiled import kernel, part
+from nfv_torchrl.simulator.mask import PASSES, check_step, find_link
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 FEATURES = (
@@ -36,7 +36,7 @@ FEATURES = (
 """Columns of the candidate rows; one column per service type (one-hot) follows."""
 
 
-@njit(cache=True, _nrt=False)
+@kernel
 def _finish_costs(tables, net, colocation, service, costs):
     """Fill ``costs`` [F + 1, N, N], infinite before: least costs by functions placed, current node, egress."""
     nodes = tables.num_nodes[net]
@@ -47,7 +47,7 @@ def _finish_costs(tables, net, colocation, service, costs):
             _finish_costs_from(tables, net, colocation, rate, service, i, functions, egress, costs)
 
 
-@njit(cache=True, _nrt=False)
+@part
 def _finish_costs_from(tables, net, colocation, rate, service, i, functions, egress, costs):
     """One layer of ``_finish_costs`` by Bellman-Ford: all nodes with i functions placed, towards one egress."""
     nodes = tables.num_nodes[net]
@@ -77,7 +77,7 @@ def _finish_costs_from(tables, net, colocation, rate, service, i, functions, egr
                 changed = True
 
 
-@njit(cache=True, _nrt=False)
+@part
 def _cheapest_vm(tables, net, node):
     cheapest = np.inf
     for vm in range(tables.vm_count[net, node]):
@@ -108,7 +108,7 @@ def reference_costs(tables: Tables, costs: np.ndarray) -> np.ndarray:
     return references
 
 
-@njit(cache=True, _nrt=False)
+@part
 def write_row(world, b, costs, references, action, row):
     """Features of one valid action into ``row`` [features], which holds zeros."""
     e = world.env[b]
@@ -122,14 +122,14 @@ def write_row(world, b, costs, references, action, row):
         row[row.size - world.tables.load.shape[0] + e.service] = 1.0
 
 
-@njit(cache=True, _nrt=False)
+@part
 def _write_step(world, b, costs, references, action, row):
     """Features of one valid action other than reject."""
     tables, ledger, e = world.tables, world.ledger, world.env[b]
     vms = ledger.vm_offered.shape[2]
     net, service, egress = e.net, e.service, e.egress
     node, vm, place = action // (2 * vms), (action // 2) % vms, action % 2 == 1
-    link = np.int64(-1) if node == e.node else _find_link(tables, net, e.node, node)
+    link = np.int64(-1) if node == e.node else find_link(tables, net, e.node, node)
     tolerable = tables.tolerable_delay[service]
     elapsed = e.elapsed
     cost = 0.0
@@ -177,7 +177,7 @@ def _write_step(world, b, costs, references, action, row):
     row[16] = left / whole
 
 
-@njit(cache=True, nogil=True, _nrt=False)
+@kernel
 def write_candidates(world, costs, references, rows, actions, mask):
     """Fill ``rows`` float32 [B, C, features], ``actions`` int64 [B, C] and ``mask`` bool [B, C] from the world."""
     reject = world.seen.mask.shape[1] - 1

@@ -1,0 +1,135 @@
+"""The books: what walks and running requests hold, taken and given back to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.view import show_share
+
+
+@part
+def change_vm(tables, ledger, env, flat, b, node, vm, amount):
+    """Reserve ``amount`` ledger units of a VM (give back when negative)."""
+    e = env[b]
+    ledger.vm_reserved[b, node, vm] += amount
+    e.vm_used += amount
+    if not ledger.vm_failed[b, node, vm]:
+        ledger.vm_offered[b, node, vm] -= amount
+        vms = ledger.vm_offered.shape[2]
+        capacity = tables.vm_capacity[e.net, node, vm]
+        show_share(flat, b, node * vms + vm, capacity, ledger.vm_offered[b, node, vm])
+
+
+@part
+def change_link(tables, ledger, env, flat, b, link, amount):
+    """Reserve ``amount`` ledger units of a link (give back when negative)."""
+    e = env[b]
+    ledger.link_reserved[b, link] += amount
+    e.link_used += amount
+    if not ledger.link_failed[b, link]:
+        ledger.link_offered[b, link] -= amount
+        first = ledger.vm_offered.shape[1] * ledger.vm_offered.shape[2]
+        show_share(flat, b, first + link, tables.link_capacity[e.net, link], ledger.link_offered[b, link])
+
+
+@part
+def _give_back(tables, ledger, env, flat, b, resource, amount):
+    vms = ledger.vm_offered.shape[2]
+    first_link = ledger.vm_offered.shape[1] * vms
+    if resource < first_link:
+        change_vm(tables, ledger, env, flat, b, resource // vms, resource % vms, -amount)
+    else:
+        change_link(tables, ledger, env, flat, b, resource - first_link, -amount)
+
+
+@part
+def release_walk(world, b):
+    """A rejected walk gives back at once all that it had reserved."""
+    walk = world.walk
+    for k in range(world.env[b].entries):
+        _give_back(world.tables, world.ledger, world.env, world.seen.flat, b, walk.resource[b, k], walk.amount[b, k])
+
+
+@part
+def keep_running(world, b):
+    """Keep an accepted walk's reservations until its departure."""
+    running, walk, e = world.running, world.walk, world.env[b]
+    record = e.free_record
+    e.free_record = running.record_next[b, record]
+    e.free_records -= 1
+    first = -1
+    for k in range(e.entries):
+        entry = e.free_entry
+        e.free_entry = running.entry_next[b, entry]
+        running.entry_resource[b, entry] = walk.resource[b, k]
+        running.entry_amount[b, entry] = walk.amount[b, k]
+        running.entry_next[b, entry] = first
+        first = entry
+    e.free_entries -= e.entries
+    leaves = min(np.int64(world.arrivals.departure[b, e.cursor]), e.horizon)
+    running.record_entry[b, record] = first
+    running.record_request[b, record] = e.cursor
+    running.record_cost[b, record] = e.cost
+    running.record_next[b, record] = running.head[b, leaves]
+    running.head[b, leaves] = record
+    e.running_cost += e.cost
+    e.num_running += 1
+
+
+@part
+def end_record(world, b, record):
+    """Give back what a running request holds and free its record. Returns the record that followed it."""
+    running, e = world.running, world.env[b]
+    entry = running.record_entry[b, record]
+    while entry != -1:
+        _give_back(
+            world.tables,
+            world.ledger,
+            world.env,
+            world.seen.flat,
+            b,
+            running.entry_resource[b, entry],
+            running.entry_amount[b, entry],
+        )
+        following = running.entry_next[b, entry]
+        running.entry_next[b, entry] = e.free_entry
+        e.free_entry = entry
+        e.free_entries += 1
+        entry = following
+    e.num_running -= 1
+    # Sums of floats drift; an empty network costs exactly nothing.
+    e.running_cost = e.running_cost - running.record_cost[b, record] if e.num_running > 0 else 0.0
+    after = running.record_next[b, record]
+    running.record_next[b, record] = e.free_record
+    e.free_record = record
+    e.free_records += 1
+    return after
+
+
+@part
+def empty_network(world, b):
+    """Put the books, pools and counters of environment b back to an idle network."""
+    tables, ledger, running, e = world.tables, world.ledger, world.running, world.env[b]
+    _, nodes, vms = ledger.vm_offered.shape
+    for node in range(nodes):
+        for vm in range(vms):
+            ledger.vm_reserved[b, node, vm] = 0
+            ledger.vm_failed[b, node, vm] = False
+            ledger.vm_offered[b, node, vm] = tables.vm_capacity[e.net, node, vm]
+    for link in range(ledger.link_offered.shape[1]):
+        ledger.link_reserved[b, link] = 0
+        ledger.link_failed[b, link] = False
+        ledger.link_offered[b, link] = tables.link_capacity[e.net, link]
+    for k in range(world.seen.flat.shape[1]):
+        world.seen.flat[b, k] = 0.0
+    for slot in range(running.head.shape[1]):
+        running.head[b, slot] = -1
+    for pool in (running.record_next, running.entry_next):
+        size = pool.shape[1]
+        for k in range(size):
+            pool[b, k] = k + 1 if k + 1 < size else -1
+    e.free_record = 0
+    e.free_entry = 0
+    e.free_records = running.record_next.shape[1]
+    e.free_entries = running.entry_next.shape[1]

@@ -1,0 +1,136 @@
+"""Algorithm 1: slots with their departures, repairs and failures, and the requests that arrive in them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nfv_torchrl.simulator.books import end_record
+from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.mask import write_mask
+from nfv_torchrl.simulator.state import INTERRUPTED, SLOT_COST, SLOT_LINK_USE, SLOT_VM_USE, SLOTS_CLOSED
+from nfv_torchrl.simulator.view import show_request, show_share
+
+
+@part
+def _depart(world, b):
+    """Every request whose departure slot has come leaves (Algorithm 1)."""
+    slot = world.env[b].slot
+    record = world.running.head[b, slot]
+    while record != -1:
+        record = end_record(world, b, record)
+    world.running.head[b, slot] = -1
+
+
+@part
+def _uses(running, b, record, resource):
+    entry = running.record_entry[b, record]
+    while entry != -1:
+        if running.entry_resource[b, entry] == resource:
+            return True
+        entry = running.entry_next[b, entry]
+    return False
+
+
+@part
+def _interrupt(world, b, resource):
+    """End every running request that uses a failed resource."""
+    running, log, e = world.running, world.log, world.env[b]
+    for slot in range(e.slot, e.horizon + 1):
+        before = -1
+        record = running.head[b, slot]
+        while record != -1:
+            if not _uses(running, b, record, resource):
+                before = record
+                record = running.record_next[b, record]
+                continue
+            if log.enabled:
+                log.interrupted_at[b, running.record_request[b, record]] = e.slot
+            world.outcome[b, INTERRUPTED] += 1
+            record = end_record(world, b, record)
+            if before == -1:
+                running.head[b, slot] = record
+            else:
+                running.record_next[b, before] = record
+
+
+@part
+def _set_failed(world, b, resource, failed):
+    """A failed resource offers nothing; a repaired one offers what is not reserved."""
+    ledger, tables, e = world.ledger, world.tables, world.env[b]
+    vms = ledger.vm_offered.shape[2]
+    first_link = ledger.vm_offered.shape[1] * vms
+    if resource < first_link:
+        node, vm = resource // vms, resource % vms
+        capacity = tables.vm_capacity[e.net, node, vm]
+        ledger.vm_failed[b, node, vm] = failed
+        ledger.vm_offered[b, node, vm] = 0 if failed else capacity - ledger.vm_reserved[b, node, vm]
+        show_share(world.seen.flat, b, resource, capacity, ledger.vm_offered[b, node, vm])
+    else:
+        link = resource - first_link
+        capacity = tables.link_capacity[e.net, link]
+        ledger.link_failed[b, link] = failed
+        ledger.link_offered[b, link] = 0 if failed else capacity - ledger.link_reserved[b, link]
+        show_share(world.seen.flat, b, resource, capacity, ledger.link_offered[b, link])
+
+
+@part
+def open_slot(world, b):
+    """Start of a slot: departures, then this slot's repairs and failures in the timeline's order."""
+    arrivals, e = world.arrivals, world.env[b]
+    _depart(world, b)
+    while e.event_cursor < e.num_events and arrivals.event_slot[b, e.event_cursor] <= e.slot:
+        resource = arrivals.event_resource[b, e.event_cursor]
+        up = arrivals.event_up[b, e.event_cursor]
+        _set_failed(world, b, resource, not up)
+        if not up:
+            _interrupt(world, b, resource)
+        e.event_cursor += 1
+
+
+@part
+def _close_slot(world, b):
+    """End of a slot: its utilisation cost Phi_t and used shares count, unless it belongs to the warm-up."""
+    tables, out, e = world.tables, world.outcome, world.env[b]
+    if e.slot >= e.warmup:
+        out[b, SLOTS_CLOSED] += 1
+        out[b, SLOT_COST] += e.running_cost
+        out[b, SLOT_VM_USE] += e.vm_used / tables.vm_total[e.net]
+        out[b, SLOT_LINK_USE] += e.link_used / tables.link_total[e.net]
+    e.slot += 1
+
+
+@part
+def next_request(world, b):
+    """Move on to the request at the cursor, through as many slots as lie between, or to the end of the horizon."""
+    e = world.env[b]
+    due = np.int64(world.arrivals.slot[b, e.cursor]) if e.cursor < e.num_requests else e.horizon
+    while e.slot < due:
+        _close_slot(world, b)
+        if e.slot < e.horizon:
+            open_slot(world, b)
+    if e.slot >= e.horizon:
+        e.done = 1
+        write_mask(world, b)
+    else:
+        _begin_request(world, b)
+
+
+@part
+def _begin_request(world, b):
+    arrivals, e = world.arrivals, world.env[b]
+    e.service = arrivals.service[b, e.cursor]
+    e.ingress = arrivals.ingress[b, e.cursor]
+    e.egress = arrivals.egress[b, e.cursor]
+    e.lifetime = arrivals.lifetime[b, e.cursor]
+    e.service_share = arrivals.service_share[b, e.cursor]
+    e.request_slot = e.slot
+    e.node = e.ingress
+    e.last_vm = 0
+    e.function = 0
+    e.steps = 0
+    e.hops = 0
+    e.elapsed = 0.0
+    e.cost = 0.0
+    e.entries = 0
+    show_request(world, b)
+    write_mask(world, b)

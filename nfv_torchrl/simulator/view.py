@@ -1,0 +1,44 @@
+"""What is seen of the world: the flat observation, updated where something changed (section "Network States")."""
+
+from __future__ import annotations
+
+from nfv_torchrl.simulator.compiled import part
+
+SHARE_LEVELS = 1000
+"""I: levels of the used share in the observation."""
+
+
+@part
+def show_share(flat, b, resource, capacity, offered):
+    """Used share of a resource in the observation: floor(I (capacity - offered) / capacity) / I."""
+    flat[b, resource] = ((capacity - offered) * SHARE_LEVELS // capacity) / SHARE_LEVELS
+
+
+@part
+def _move_one(flat, b, old, new):
+    if old >= 0:
+        flat[b, old] = 0.0
+    flat[b, new] = 1.0
+    return new
+
+
+@part
+def show_request(world, b):
+    """The five numbers of the request in the flat observation and, when on, the one-hot features after them."""
+    tables, e = world.tables, world.env[b]
+    flat = world.seen.flat
+    _, nodes, vms = world.ledger.vm_offered.shape
+    services, functions = tables.load.shape
+    base = nodes * vms + world.ledger.link_offered.shape[1]
+    service = e.service
+    flat[b, base] = e.service_share
+    flat[b, base + 1] = e.node / max(nodes - 1, 1)
+    flat[b, base + 2] = e.last_vm / max(vms - 1, 1)
+    flat[b, base + 3] = e.function / functions
+    flat[b, base + 4] = e.elapsed / tables.tolerable_delay[service]
+    if world.seen.one_hot:
+        base += 5
+        e.hot_service = _move_one(flat, b, e.hot_service, base + service)
+        e.hot_node = _move_one(flat, b, e.hot_node, base + services + e.node)
+        e.hot_egress = _move_one(flat, b, e.hot_egress, base + services + nodes + e.egress)
+        e.hot_function = _move_one(flat, b, e.hot_function, base + services + 2 * nodes + e.function)
