@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
-from nfv_torchrl.experiments.rows import Rows, bound_rows, constant, method_row
+from nfv_torchrl.experiments.rows import Rows, bound_rows, constant, gap_rows, method_row, paired_rows
 from nfv_torchrl.experiments.study import AGENT, Study, World
 from nfv_torchrl.experiments.sweeps import METRICS
 
@@ -33,11 +33,17 @@ class CostWeight:
 
     def draw(self, study: Study, store: CellStore) -> Drawn:
         rows: Rows = []
+        paired: Rows = []
         weights = study.budget["cost_weights"]
         for world in self._worlds(study):
+            others = self._others(study, world)
             for (reward, weight), cell in self._agents(study, world).items():
-                rows.append(method_row(store, cell, AGENT, weight, self.metric, world, SERIES[reward]))
-            for name, cell in self._others(study, world).items():
+                series, cells = SERIES[reward], {AGENT: cell, **others}
+                rows.append(method_row(store, cell, AGENT, weight, self.metric, world, series))
+                paired += paired_rows(store, cells, weight, world, study, series)
+                if self.metric == "aar":
+                    paired += gap_rows(store, cells, study.bound(world), weight, world, series)
+            for name, cell in others.items():
                 rows += constant(method_row(store, cell, name, 0.0, self.metric, world), weights)
             if self.metric == "aar":
                 for row in bound_rows(store, study.bound(world), 0.0, world):
@@ -50,7 +56,7 @@ class CostWeight:
             x_label="w_cost of the reward that DQN-AR is trained with",
             y_label=METRICS[self.metric],
         )
-        return Drawn(figure, rows)
+        return Drawn(figure, rows, paired)
 
     def _worlds(self, study: Study) -> list[World]:
         return [study.world(colocation=colocation) for colocation in study.colocations]

@@ -83,7 +83,7 @@ class DecisionTime:
             f"{study.about()}; timed on {options['seeds']} horizons of {options['horizon']} slots",
             x_label="nodes N",
             y_label="ms a request",
-            ticks={world["substrate"]["nodes"]: f"{world['substrate']['nodes']}" for world in worlds},
+            ticks={(n := world["substrate"]["nodes"]): f"{n}\nρ {study.rho(world):.2f}" for world in worlds},
             log=True,
             like={text: show(name) for name, (text, _) in FORMULAS.items()},
         )

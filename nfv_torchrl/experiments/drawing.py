@@ -34,6 +34,9 @@ PLACES = {
 LETTERS_PER_INCH = 14
 LETTERS_OF_A_HANDLE = 8
 MOST_COLUMNS = 5
+GAP_HEIGHT = 2.6
+GAP_RANGE = (-1.05, 1.05)
+"""Shares of the gap that are drawn; what lies below is in the CSV alone."""
 DASHES = {"bound: hindsight": "--", "bound: blind": ":"}
 
 
@@ -71,6 +74,7 @@ def panel_figure(
     ticks: Mapping[float, str] | None = None,
     log: bool = False,
     like: Mapping[str, str] | None = None,
+    below: Sequence[Row] = (),
 ) -> Figure:
     """One panel beside the other for each value of ``panel`` among ``rows``, with one legend.
 
@@ -82,28 +86,42 @@ def panel_figure(
         ticks: places and labels on the horizontal axis.
         log: logarithmic axes.
         like: series that are dashed, and the series whose colour they have.
+        below: shares of the gap to a bound, drawn in a second row of panels.
     """
     panels = list(dict.fromkeys(row["panel"] for row in rows))
     series = sorted(dict.fromkeys(row["series"] for row in rows), key=_order)
     like = like or {}
     styles = DASHES | dict.fromkeys(like, "--")
+
+    def draw(axes: Any, shown: Sequence[Row]) -> None:
+        for place, name in enumerate(series):
+            mine = [row for row in shown if row["series"] == name]
+            if mine:
+                draw_series(axes, mine, name, PLACES.get(like.get(name, name), place), styles.get(name, "-"))
+        axes.set_xlabel(x_label)
+        if log:
+            axes.set(xscale="log", yscale="log")
+        if ticks is not None:
+            axes.set_xticks(list(ticks), list(ticks.values()))
+            axes.minorticks_off()
+
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1.4 + 4.6 * len(panels), 5.2), layout="constrained")
+        height = 5.2 + (GAP_HEIGHT if below else 0)
+        figure = Figure(figsize=(1.4 + 4.6 * len(panels), height), layout="constrained")
         set_title(figure, title)
-        grid = figure.subplots(1, len(panels), squeeze=False, sharey=isinstance(y_label, str))[0]
-        for axes, panel in zip(grid, panels, strict=True):
-            for place, name in enumerate(series):
-                mine = [row for row in rows if row["panel"] == panel and row["series"] == name]
-                if mine:
-                    draw_series(axes, mine, name, PLACES.get(like.get(name, name), place), styles.get(name, "-"))
-            axes.set_title(panel, fontsize=10)
-            axes.set(xlabel=x_label, ylabel=y_label if isinstance(y_label, str) else y_label[panel])
-            if log:
-                axes.set(xscale="log", yscale="log")
-            if ticks is not None:
-                axes.set_xticks(list(ticks), list(ticks.values()))
-                axes.minorticks_off()
-        _legend(figure, grid)
+        ratios = [2, 1] if below else [1]
+        sharey: Any = "row" if isinstance(y_label, str) else False
+        grid = figure.subplots(len(ratios), len(panels), squeeze=False, sharey=sharey, height_ratios=ratios)
+        for column, panel in enumerate(panels):
+            draw(grid[0, column], [row for row in rows if row["panel"] == panel])
+            grid[0, column].set_title(panel, fontsize=10)
+            grid[0, column].set_ylabel(y_label if isinstance(y_label, str) else y_label[panel])
+            if below:
+                draw(grid[1, column], [row for row in below if row["panel"] == panel])
+                grid[1, column].set(xlim=grid[0, column].get_xlim(), ylim=GAP_RANGE)
+        if below:
+            grid[1, 0].set_ylabel(f"share of the gap from\nmyopic_optimal to\nthe {below[0]['reference']} closed")
+        _legend(figure, grid[0])
     return figure
 
 

@@ -26,7 +26,12 @@ class LearningCurves:
 
     def cells(self, study: Study) -> list[Cell]:
         runs = [study.training(AGENT, world, seed=seed) for world in self._worlds(study) for seed in self._seeds(study)]
-        return runs + [study.evaluation(AGENT, world) for world in self._worlds(study)]
+        bounds = [self._bound(study, world) for world in self._worlds(study)] if self.metric == "aar" else []
+        return runs + [study.evaluation(AGENT, world) for world in self._worlds(study)] + bounds
+
+    def _bound(self, study: Study, world: World) -> Cell:
+        """Of the held-out workloads on which training evaluates."""
+        return study.bound(world, study.training(AGENT, world).spec["config"]["eval"]["seeds"])
 
     def draw(self, study: Study, store: CellStore) -> Drawn:
         rows: Rows = []
@@ -49,8 +54,13 @@ class LearningCurves:
         for point in (point for curve in curves for point in curve if self.metric in point):
             values.setdefault(point["frames"], []).append(point[self.metric])
         horizon = self._frames_per_horizon(study, store, world)
-        name = f"N = {world['substrate']['nodes']} (ρ {study.rho(world):.2f}; a horizon is {horizon:,.0f} frames)"
+        name = f"N = {world['substrate']['nodes']} (ρ {study.rho(world):.2f}; a horizon is {horizon:,.0f} frames"
         more = {"metric": self.metric, **setting(world, study.rho(world)), "panel": GROUPS[group]}
+        if self.metric == "aar":
+            bounds = store.read(self._bound(study, world))["bounds"]
+            more |= {f"bound_{kind}": mean_interval(list(by_seed.values())).mean for kind, by_seed in bounds.items()}
+            name += "".join(f"; {kind} bound {more[f'bound_{kind}']:.2f}" for kind in bounds)
+        name += ")"
         return [
             tidy_row(name, frames, mean_interval(found), horizons=round(frames / horizon, 4), **more)
             for frames, found in sorted(values.items())

@@ -57,8 +57,10 @@ def bound_rows(store: CellStore, cell: Cell, x: float, world: World) -> Rows:
     ]
 
 
-def paired_rows(store: CellStore, cells: Mapping[str, Cell], x: float, world: World, study: Study) -> Rows:
-    """DQN-AR against every other method on the same requests.
+def paired_rows(
+    store: CellStore, cells: Mapping[str, Cell], x: float, world: World, study: Study, series: str | None = None
+) -> Rows:
+    """DQN-AR (called ``series``) against every other method on the same requests.
 
     ``aar`` and ``anuc``: relative difference (0.07: 7 % above the reference); ``paired_cost``: cost over that of the
     reference for the requests that both accept.
@@ -74,7 +76,7 @@ def paired_rows(store: CellStore, cells: Mapping[str, Cell], x: float, world: Wo
         compared["paired_cost"] = paired_cost(store, cells[AGENT], cell)
         for metric, interval in compared.items():
             more = {"metric": metric, "reference": show(name), **setting(world, study.rho(world))}
-            rows.append(tidy_row(show(AGENT), x, interval, **more))
+            rows.append(tidy_row(series or show(AGENT), x, interval, **more))
     return rows
 
 
@@ -89,8 +91,13 @@ def paired_cost(store: CellStore, cell: Cell, reference: Cell) -> Interval:
     return mean_interval(ratios)
 
 
-def gap_rows(store: CellStore, cells: Mapping[str, Cell], bound: Cell, x: float, world: World) -> Rows:
-    """How much of the way from `myopic_optimal` to each bound on AAR a method goes, where there is a way to go."""
+def gap_rows(
+    store: CellStore, cells: Mapping[str, Cell], bound: Cell, x: float, world: World, agent: str | None = None
+) -> Rows:
+    """How much of the way from `myopic_optimal` to each bound on AAR a method goes, where there is a way to go.
+
+    ``agent``: what DQN-AR is called.
+    """
     if MYOPIC not in cells:
         return []
     start, rows = np.array(values(store.read(cells[MYOPIC]), "aar")), []
@@ -100,7 +107,8 @@ def gap_rows(store: CellStore, cells: Mapping[str, Cell], bound: Cell, x: float,
         for name, cell in cells.items() if gap.mean() >= SMALLEST_GAP else ():
             gained = np.array(values(store.read(cell), "aar")) - start
             more = {"metric": "gap_closed", "reference": f"bound: {kind}", **setting(world, result["rho"])}
-            rows.append(tidy_row(show(name), x, ratio_of_means(gained, gap), **more))
+            series = agent if agent is not None and name == AGENT else show(name)
+            rows.append(tidy_row(series, x, ratio_of_means(gained, gap), **more))
     return rows
 
 

@@ -75,9 +75,16 @@ class Study:
         return self._rho[key]
 
     def methods(self, world: World) -> list[str]:
-        """The methods compared on a scenario; trained ones only with the colocation that the budget trains for."""
-        trained = self.trained if world["colocation"] in self.budget["trained_colocation"] else ()
-        return [*trained, *self.planners]
+        """The methods compared on a scenario; trained ones only where the budget trains for it."""
+        return [*(self.trained if self._trains_for(world) else ()), *self.planners]
+
+    def _trains_for(self, world: World) -> bool:
+        """Whether the colocation, and each value named in ``trained_points``, are of those that agents train for."""
+        if world["colocation"] not in self.budget["trained_colocation"]:
+            return False
+        values = {"nodes": world["substrate"]["nodes"], **world}
+        points = self.budget["trained_points"]
+        return all(points[key] is None or values[key] in points[key] for key in points)
 
     def evaluations(self, world: World) -> dict[str, Cell]:
         """An evaluation of every method on a scenario."""
@@ -93,9 +100,10 @@ class Study:
         short = world | {"horizon": min(world["horizon"], options["horizon"])}
         return self._run("timing", name, short, list(range(options["seeds"])), None, trained_on=world)
 
-    def bound(self, world: World) -> Cell:
-        """Upper bounds on AAR."""
-        return make_cell("bound", _label("bound", world), {"scenario": world, "seeds": self.seeds})
+    def bound(self, world: World, seeds: Sequence[int] | None = None) -> Cell:
+        """Upper bounds on AAR, of the workloads of all seeds or of ``seeds``."""
+        spec = {"scenario": world, "seeds": self.seeds if seeds is None else list(seeds)}
+        return make_cell("bound", _label("bound", world), spec)
 
     def presence(self, world: World, slots: Sequence[int]) -> Cell:
         """How long users stay."""
@@ -162,6 +170,8 @@ class Study:
         trained = f", training frames: {trained}" if trained else ""
         if self.budget["trained_colocation"] == [False]:
             trained += " (only with colocation off)"
+        if any(self.budget["trained_points"].values()):
+            trained += " (and not at every point)"
         if self._mask is not None:
             trained += f", {show(AGENT)} under the {self._mask} mask"
         return (

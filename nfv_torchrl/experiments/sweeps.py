@@ -54,6 +54,7 @@ class Sweep:
         ticks = {x: f"{x:g}\nρ {study.rho(world):.2f}" for x, world in self._worlds(study, False).items()}
         figure = panel_figure(
             rows,
+            below=[row for row in paired if row["metric"] == "gap_closed" and row["reference"] == self._bound(study)],
             title=f"{METRICS[self.metric]} over {self.label}{self._fixed(study)}\n{study.about()}",
             x_label=self.label,
             y_label=METRICS[self.metric],
@@ -65,6 +66,10 @@ class Sweep:
         at: dict[str, Any] = study.budget[self.at] if self.at else {}
         points = study.budget[self.points]
         return {x: study.world(**{**at, self.parameter: x, "colocation": colocation}) for x in points}
+
+    def _bound(self, study: Study) -> str:
+        """The bound on what the methods of the figure can reach in expectation."""
+        return f"bound: {'hindsight' if study.base['observe_lifetime'] else 'blind'}"
 
     def _fixed(self, study: Study) -> str:
         world = next(iter(self._worlds(study, False).values()))

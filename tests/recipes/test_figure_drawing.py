@@ -1,0 +1,125 @@
+"""Every figure drawn from made-up cells, so without computing any: what titles, tables and panels say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from tiny import ROOT
+
+from nfv_torchrl.experiments.catalogue import FIGURES
+from nfv_torchrl.experiments.cells import CellStore, with_needs
+from nfv_torchrl.experiments.study import Study
+
+PAPER = {
+    "aar_over_iterations", "anuc_over_iterations", "anuc_vs_requests", "aar_vs_cost_weight", "anuc_vs_cost_weight",
+    "presence_probability", "aar_vs_lifetime", "aar_vs_nodes", "anuc_vs_nodes", "decision_time_vs_nodes",
+}  # fmt: skip
+AAR = {"dqn_ar": 0.85, "myopic_optimal": 0.8, "greedy": 0.6}
+BLIND, HINDSIGHT = 0.9, 0.95
+
+
+def study(*overrides: str) -> Study:
+    with initialize_config_dir(str(ROOT / "recipes" / "config"), version_base=None):
+        config = OmegaConf.to_container(compose("figures", list(overrides)), resolve=True)
+    return Study(config, ROOT / "recipes")
+
+
+def fill(figure: str, made: Study, store: CellStore) -> None:
+    """Give every cell of a figure a made-up result: AAR of :data:`AAR` and a little of the seed's."""
+    for cell in with_needs(FIGURES[figure].cells(made)):
+        seeds = [str(seed) for seed in cell.spec.get("seeds", [])]
+        if cell.kind == "evaluation":
+            aar = AAR.get(cell.spec["method"].get("name", next(iter(cell.spec["method"]))), 0.7)
+            keys = {"anuc": 1e6, "mean_hops": 3.0, "paper_reward": 4.0, "frames": 50_000}
+            runs = {seed: {"aar": aar + int(seed) / 1000, **keys} for seed in seeds}
+            store.write(cell, {"rho": 1.0, "metrics": runs})
+            np.savez_compressed(store.path(cell).with_suffix(".npz"), **dict.fromkeys(seeds, np.full(3, 100 * aar)))
+        elif cell.kind == "bound":
+            values = {"hindsight": HINDSIGHT, "blind": BLIND}
+            store.write(cell, {"rho": 1.0, "bounds": {k: dict.fromkeys(seeds, v) for k, v in values.items()}})
+        elif cell.kind == "presence":
+            store.write(cell, {"shares": {seed: [0.5] * len(cell.spec["slots"]) for seed in seeds}})
+        elif cell.kind == "timing":
+            store.write(cell, {"rho": 1.0, "seconds_per_request": dict.fromkeys(seeds, 1e-4)})
+        else:
+            points = [{"frames": frames, "aar": 0.5, "anuc": 1e6} for frames in (1000, 2000)]
+            store.write(cell, {"run": "run", "policy": "best.pt", "eval": points, "train": points})
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """All figures of the quick budget, by name."""
+    made, store = study(), CellStore(tmp_path_factory.mktemp("drawn"), ROOT / "recipes")
+    figures = {}
+    for name, figure in FIGURES.items():
+        fill(name, made, store)
+        figures[name] = figure.draw(made, store)
+    return figures
+
+
+def words(figure) -> str:
+    """Title and tick labels."""
+    ticks = (label.get_text() for axes in figure.axes for label in axes.get_xticklabels())
+    return " ".join([figure.get_suptitle(), *ticks]).replace("\n", " ")
+
+
+def test_the_papers_figures_are_there(drawn):
+    assert set(drawn) >= PAPER
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_title_says_what_it_took(drawn, name, tmp_path):
+    shown = words(drawn[name].figure)
+    assert "quick budget: 3 workload seeds, scenario seed 0" in shown and "lifetimes hidden" in shown
+    legend = " ".join(text.get_text() for axes in drawn[name].figure.legends for text in axes.get_texts())
+    assert name == "presence_probability" or "ρ" in shown + legend  # nothing is placed there
+    drawn[name].save(tmp_path / name)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".pdf", ".csv"}
+
+
+@pytest.mark.parametrize("name", ["aar_vs_nodes", "aar_vs_lifetime", "aar_vs_requests"])
+def test_the_share_of_the_gap_is_drawn_below(drawn, name):
+    axes = drawn[name].figure.axes
+    assert len(axes) == 4 and "bound: blind closed" in axes[2].get_ylabel()
+    shares = {line.get_label(): line.get_ydata()[0] for line in axes[2].lines if not line.get_label().startswith("_")}
+    assert shares["myopic_optimal"] == 0
+    assert shares["DQN-AR"] == pytest.approx((0.851 - 0.801) / (BLIND - 0.801))
+    assert axes[2].get_xlim() == axes[0].get_xlim()
+
+
+def test_anuc_has_no_bound_and_no_gap(drawn):
+    assert len(drawn["anuc_vs_nodes"].figure.axes) == 2
+
+
+@pytest.mark.parametrize("metric", ["aar", "anuc"])
+def test_cost_weights_are_compared_in_pairs(drawn, metric):
+    paired = drawn[f"{metric}_vs_cost_weight"].paired
+    costs = [row for row in paired if row["metric"] == "paired_cost" and row["reference"] == "greedy"]
+    assert {(row["series"], row["x"]) for row in costs} == {
+        (series, weight) for series in ("DQN-AR, default reward", "DQN-AR, paper's reward") for weight in (0.2, 1.0)
+    }
+    assert all(row["mean"] == pytest.approx(0.85 / 0.6) for row in costs)
+    gaps = {row["series"] for row in paired if row["metric"] == "gap_closed"}
+    assert ("DQN-AR, paper's reward" in gaps) == (metric == "aar")
+
+
+def test_learning_curves_name_the_bound(drawn):
+    rows = drawn["aar_over_iterations"].rows
+    assert {row["bound_blind"] for row in rows} == {BLIND} and {row["bound_hindsight"] for row in rows} == {HINDSIGHT}
+    assert all("blind bound 0.90" in row["series"] for row in rows)
+    assert "bound_blind" not in drawn["anuc_over_iterations"].rows[0]
+
+
+def test_agents_only_at_some_points(tmp_path: Path):
+    """`trained_points` leaves agents out of the other scenarios, and the title says so."""
+    made, store = study("budget.trained_points.nodes=[10,50]"), CellStore(tmp_path, ROOT / "recipes")
+    fill("aar_vs_nodes", made, store)
+    shown = FIGURES["aar_vs_nodes"].draw(made, store)
+    assert {row["x"] for row in shown.rows if row["series"] == "NFVdeep"} == {10, 50}
+    assert {row["x"] for row in shown.rows if row["series"] == "tabu"} == {10, 20, 50}
+    assert "not at every point" in words(shown.figure)
+    assert len([cell for cell in FIGURES["aar_vs_nodes"].cells(made) if cell.kind == "evaluation"]) == 3 * 5 * 2 + 4
