@@ -84,7 +84,7 @@ class DecisionTime:
             x_label="nodes N",
             y_label="ms a request",
             ticks={(n := world["substrate"]["nodes"]): f"{n}\nρ {study.rho(world):.2f}" for world in worlds},
-            log=True,
+            log="xy",
             like={text: show(name) for name, (text, _) in FORMULAS.items()},
         )
         return Drawn(figure, rows)

@@ -72,7 +72,7 @@ def panel_figure(
     x_label: str,
     y_label: str | Mapping[str, str],
     ticks: Mapping[float, str] | None = None,
-    log: bool = False,
+    log: str = "",
     like: Mapping[str, str] | None = None,
     below: Sequence[Row] = (),
 ) -> Figure:
@@ -84,7 +84,7 @@ def panel_figure(
         x_label: of all panels.
         y_label: of all panels, or by panel.
         ticks: places and labels on the horizontal axis.
-        log: logarithmic axes.
+        log: axes that are logarithmic: ``x``, ``y`` or ``xy``.
         like: series that are dashed, and the series whose colour they have.
         below: shares of the gap to a bound, drawn in a second row of panels.
     """
@@ -99,8 +99,7 @@ def panel_figure(
             if mine:
                 draw_series(axes, mine, name, PLACES.get(like.get(name, name), place), styles.get(name, "-"))
         axes.set_xlabel(x_label)
-        if log:
-            axes.set(xscale="log", yscale="log")
+        axes.set(**{f"{axis}scale": "log" for axis in log})
         if ticks is not None:
             axes.set_xticks(list(ticks), list(ticks.values()))
             axes.minorticks_off()
@@ -115,12 +114,16 @@ def panel_figure(
         for column, panel in enumerate(panels):
             draw(grid[0, column], [row for row in rows if row["panel"] == panel])
             grid[0, column].set_title(panel, fontsize=10)
-            grid[0, column].set_ylabel(y_label if isinstance(y_label, str) else y_label[panel])
+            if not isinstance(y_label, str):
+                grid[0, column].set_ylabel(y_label[panel])
             if below:
                 draw(grid[1, column], [row for row in below if row["panel"] == panel])
                 grid[1, column].set(xlim=grid[0, column].get_xlim(), ylim=GAP_RANGE)
+        if isinstance(y_label, str):
+            grid[0, 0].set_ylabel(y_label)
         if below:
-            grid[1, 0].set_ylabel(f"share of the gap from\nmyopic_optimal to\nthe {below[0]['reference']} closed")
+            bound = below[0]["reference"].removeprefix("bound: ")
+            grid[1, 0].set_ylabel(f"share of the gap from\nmyopic_optimal to the\n{bound} bound closed")
         _legend(figure, grid[0])
     return figure
 

@@ -168,10 +168,9 @@ class Study:
         seeds = f"{len(self.seeds)} workload seeds" if len(self.seeds) > 1 else "1 workload seed"
         seen = "seen" if self.base["observe_lifetime"] else "hidden"
         trained = f", training frames: {trained}" if trained else ""
-        if self.budget["trained_colocation"] == [False]:
-            trained += " (only with colocation off)"
-        if any(self.budget["trained_points"].values()):
-            trained += " (and not at every point)"
+        limits = ["with colocation off"] if self.budget["trained_colocation"] == [False] else []
+        limits += ["not at every point"] if any(self.budget["trained_points"].values()) else []
+        trained += f" ({', '.join(limits)})" if limits else ""
         if self._mask is not None:
             trained += f", {show(AGENT)} under the {self._mask} mask"
         return (

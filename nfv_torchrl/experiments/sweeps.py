@@ -59,6 +59,7 @@ class Sweep:
             x_label=self.label,
             y_label=METRICS[self.metric],
             ticks=ticks,
+            log="x" if self.parameter == "nodes" else "",
         )
         return Drawn(figure, rows, paired)
 

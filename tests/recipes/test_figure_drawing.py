@@ -84,7 +84,7 @@ def test_every_title_says_what_it_took(drawn, name, tmp_path):
 @pytest.mark.parametrize("name", ["aar_vs_nodes", "aar_vs_lifetime", "aar_vs_requests"])
 def test_the_share_of_the_gap_is_drawn_below(drawn, name):
     axes = drawn[name].figure.axes
-    assert len(axes) == 4 and "bound: blind closed" in axes[2].get_ylabel()
+    assert len(axes) == 4 and "blind bound closed" in axes[2].get_ylabel()
     shares = {line.get_label(): line.get_ydata()[0] for line in axes[2].lines if not line.get_label().startswith("_")}
     assert shares["myopic_optimal"] == 0
     assert shares["DQN-AR"] == pytest.approx((0.851 - 0.801) / (BLIND - 0.801))
