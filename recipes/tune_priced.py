@@ -84,18 +84,21 @@ def scenarios(config: dict[str, Any]) -> list[list[Scenario]]:
 def measure(work: tuple[Setting | None, list[list[Scenario]], int]) -> np.ndarray:
     """AAR and cost per accepted request ($), float64 [W, S, 2], on W x S scenarios; None: of `myopic_optimal`."""
     setting, worlds, seeds = work
-    return np.array([[_scores(setting, scenario, seeds) for scenario in networks] for networks in worlds])
+    return np.array([_scores(setting, networks, seeds) for networks in worlds])
 
 
-def _scores(setting: Setting | None, scenario: Scenario, seeds: int) -> np.ndarray:
+def _scores(setting: Setting | None, networks: list[Scenario], seeds: int) -> np.ndarray:
+    """[S, 2]: the mean over ``seeds`` workloads of each network, which are its own."""
     if setting is None:
         method = PlannerMethod(MyopicPlanner(), name="myopic_optimal")
     else:
         price, steepness, threshold = setting
         planner = PricedPlanner(price=price, steepness=steepness, admit_threshold=threshold)
         method = PlannerMethod(planner, name="priced")
-    runs = [compute_metrics(record) for record in run_method(scenario, method, range(FIRST_SEED, FIRST_SEED + seeds))]
-    return np.mean([(run["aar"], run["cost_per_accepted"]) for run in runs], axis=0)
+    scenarios = [scenario for scenario in networks for _ in range(seeds)]
+    records = run_method(scenarios, method, range(FIRST_SEED, FIRST_SEED + len(scenarios)))
+    runs = [compute_metrics(record) for record in records]
+    return np.array([(run["aar"], run["cost_per_accepted"]) for run in runs]).reshape(len(networks), seeds, 2).mean(1)
 
 
 def row(setting: Setting, answer: np.ndarray, myopic: np.ndarray) -> dict[str, Any]:
