@@ -1,0 +1,90 @@
+"""Fitness of whole horizons, and compiled play against the same policy step by step."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import torch
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.evaluation.methods import PlannerMethod
+from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.evolution import CandidatePolicy, FixedNetwork, PricePolicy
+from nfv_torchrl.evolution.fitness import Arena
+from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, Sizes
+from nfv_torchrl.networks.prices import PriceNetwork
+from nfv_torchrl.planners import MyopicPlanner
+from nfv_torchrl.simulator import Simulator
+
+SOURCE = FixedNetwork({"horizon": 120, "mean_lifetime": 100.0, "arrival_rate": 12.0, "colocation": True,
+                       "substrate": {"nodes": 6, "vms_max": 2, "target_rho": 1.5}})  # fmt: skip
+
+
+def price_policy(seed: int = 0) -> PricePolicy:
+    torch.manual_seed(seed)
+    policy = PricePolicy(functools.partial(PriceNetwork, hidden=2))
+    policy.set_vector(np.random.default_rng(seed).normal(0, 0.5, policy.vector().size))
+    return policy
+
+
+def candidate_policy(activation: str = "ReLU") -> CandidatePolicy:
+    sizes = Sizes.of(Simulator(SOURCE.scenario, 1))
+    policy = CandidatePolicy(functools.partial(CandidateNetwork, hidden=[8, 4], activation=activation), sizes)
+    policy.set_vector(np.random.default_rng(0).normal(0, 0.5, policy.vector().size))
+    return policy
+
+
+def test_fitness_by_its_definition():
+    (task,) = SOURCE.draw(0, 0, 1)
+    policy = price_policy(3)
+    ((score,),) = Arena(threads=1, cost_weight=2.0, saving_weight=0.1, spread=0.05).scores([policy], [task])
+    ours, myopic = (
+        run_method(task.scenario, method, [0], workloads=[task.workload])[0]
+        for method in (policy.method("ours"), PlannerMethod(MyopicPlanner(), name="myopic_optimal"))
+    )
+    both = ours.accepted & myopic.accepted
+    paired = ours.cost[both].sum() / myopic.cost[both].sum()
+    gain = (ours.accepted.mean() - myopic.accepted.mean()) / (1 - myopic.accepted.mean() + 0.05)
+    assert (score.aar, score.myopic_aar) == (ours.accepted.mean(), myopic.accepted.mean()) and score.aar < 1
+    assert score.paired_cost == pytest.approx(paired) and paired != 1
+    assert score.fitness == pytest.approx(gain - 2.0 * max(0, paired - 1) - 0.1 * (paired - 1))
+
+
+def test_threads_change_nothing():
+    tasks = SOURCE.draw(0, 0, 2)
+    policies = [price_policy(seed) for seed in range(3)]
+    alone, together = (Arena(threads=threads).scores(policies, tasks) for threads in (1, 3))
+    assert alone == together and len(alone) == 3 and len(alone[0]) == 2
+
+
+@pytest.mark.parametrize("activation", ["ReLU", "Tanh"])
+def test_compiled_candidates_are_the_torch_policy(activation):
+    (task,) = SOURCE.draw(0, 0, 1)
+    policy = candidate_policy(activation)
+    costs = Arena(threads=1)._costs(policy.player(), task.__class__(policy.settings(task.scenario), *_rest(task)))
+    (record,) = run_method(task.scenario, policy.method("candidate"), [0], workloads=[task.workload])
+    assert 0 < record.accepted.mean() < 1
+    np.testing.assert_array_equal(np.isfinite(costs), record.accepted)
+    np.testing.assert_array_equal(costs, record.cost)
+
+
+def _rest(task):
+    return task.workload, task.timeline
+
+
+def test_a_vector_sets_and_copies():
+    policy = candidate_policy()
+    before = policy.vector()
+    other = policy.with_vector(before + 1)
+    assert (policy.vector() == before).all() and (other.vector() == before + 1).all()
+    assert torch.equal(next(other.actor.parameters()), next(other.network.parameters()))
+
+
+def test_another_network_is_refused():
+    sizes = Sizes.of(Simulator(SOURCE.scenario, 1))
+    with pytest.raises(ScenarioError, match="network=candidate"):
+        CandidatePolicy(functools.partial(MLPNetwork, hidden=[4]), sizes)
+    with pytest.raises(ScenarioError, match="ReLU or Tanh"):
+        CandidatePolicy(functools.partial(CandidateNetwork, hidden=[4], activation="ELU"), sizes).player()

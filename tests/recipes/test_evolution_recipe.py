@@ -1,0 +1,58 @@
+"""Evolution, run for real at tiny size: it resumes to the bit, its policies load, are audited and start others."""
+
+from __future__ import annotations
+
+import pytest
+from inprocess import call
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
+
+SCENARIO = ["scenario.horizon=60", "scenario.mean_lifetime=50", "scenario.arrival_rate=6"]
+TINY = [
+    *SCENARIO,
+    "generations=4",
+    "generation.tasks=1",
+    "strategy.population=4",
+    "threads=1",
+    "eval.interval=2",
+    "eval.tasks=2",
+    "checkpoint.interval=2",
+    "logger.figures=false",
+]
+RANDOM = ["tasks.nodes=[5,7]", "tasks.arrival_rate=[6]", "tasks.horizon=[60]", "tasks.vms_max=[2,2]"]
+FIXED = ["tasks=fixed_network", "policy=candidate", "network.hidden=[4]", "scenario.substrate.nodes=5"]
+
+
+@pytest.mark.parametrize("overrides", [RANDOM, FIXED], ids=["prices", "candidate"])
+def test_it_evolves_resumes_to_the_bit_and_is_evaluated(overrides, tmp_path, capsys):
+    folder = tmp_path / "run"
+    call("evolution", f"run_dir={folder}", *TINY, *overrides)
+    checkpoints = CheckpointFolder(folder)
+    whole = load_file(checkpoints.files()[-1])
+    best = load_file(folder / "best.pt")
+    checkpoints.files()[-1].unlink()
+    call("evolution", f"run_dir={folder}", *TINY, *overrides, "resume=true")
+    again = load_file(checkpoints.files()[-1])
+    assert whole["strategy"] == again["strategy"] and len(whole["strategy"]["fitness"]) == 4
+    assert whole["progress"] == again["progress"]
+    assert all((load_file(folder / "best.pt")["weights"][key] == value).all() for key, value in best["weights"].items())
+
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    tags = set(events.Tags()["scalars"])
+    assert {"train/fitness", "train/sigma", "eval/fitness", "eval/aar_gain", "eval/paired_cost"} <= tags
+
+    capsys.readouterr()
+    size = ["scenario.substrate.nodes=5"]  # random networks had other sizes too
+    call("evaluate", "method=[myopic_optimal,checkpoint]", f"checkpoint={folder / 'best.pt'}", *SCENARIO, *size, "seeds=2")
+    printed = capsys.readouterr().out
+    assert "checkpoint" in printed and "nothing found" in printed
+
+    # Its weights start another search; other weights are refused by name.
+    started = tmp_path / "started"
+    call("evolution", f"run_dir={started}", *TINY, *overrides, f"start={folder / 'best.pt'}", "generations=2")
+    other = "network.hidden=[5]" if overrides is FIXED else "network.hidden=2"
+    with pytest.raises(SystemExit):
+        call("evolution", f"run_dir={started}", *TINY, *overrides, other, f"start={folder / 'best.pt'}")
+    assert "give the settings of network=" in capsys.readouterr().err
