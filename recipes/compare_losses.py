@@ -1,7 +1,7 @@
 """Compare losses: the same scenario, frames and seeds for all of them, then a table and learning curves.
 
     python recipes/compare_losses.py                               # everything in config/compare_losses.yaml
-    python recipes/compare_losses.py only=[dqn,n_step] seeds=5 frames=1_000_000 jobs=4
+    python recipes/compare_losses.py only=[dqn,n_step] seeds=5 frames=600_000 explored=200_000
     python recipes/compare_losses.py scenario=heavy output=runs/losses_heavy
 
 Every training is a run of its recipe in a process of its own, ``jobs`` of them at once. What has been computed before
@@ -32,8 +32,8 @@ from nfv_torchrl.files import write_atomically
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.cli import check_keys, clear_errors
 
-KEYS = ("scenario", "frames", "seeds", "workloads", "losses", "settings", "overrides", "only", "figures", "reference",
-        "eval_seeds", "jobs", "output")  # fmt: skip
+KEYS = ("scenario", "frames", "explored", "seeds", "workloads", "losses", "settings", "overrides", "only", "figures",
+        "reference", "eval_seeds", "jobs", "output")  # fmt: skip
 FLOOR = "random_feasible"
 """What every loss has to beat."""
 
