@@ -170,5 +170,5 @@ def test_the_compiled_functions_are_the_networks():
 
 
 def test_a_negative_size_is_refused():
-    with pytest.raises(ScenarioError, match="network.hidden"):
+    with pytest.raises(ScenarioError, match=r"network\.hidden"):
         PriceNetwork(hidden=-1)

@@ -44,8 +44,9 @@ def test_it_evolves_resumes_to_the_bit_and_is_evaluated(overrides, tmp_path, cap
     assert {"train/fitness", "train/sigma", "eval/fitness", "eval/aar_gain", "eval/paired_cost"} <= tags
 
     capsys.readouterr()
-    size = ["scenario.substrate.nodes=5"]  # random networks had other sizes too
-    call("evaluate", "method=[myopic_optimal,checkpoint]", f"checkpoint={folder / 'best.pt'}", *SCENARIO, *size, "seeds=2")
+    size = "scenario.substrate.nodes=5"  # random networks had other sizes too
+    methods = ["method=[myopic_optimal,checkpoint]", f"checkpoint={folder / 'best.pt'}"]
+    call("evaluate", *methods, *SCENARIO, size, "seeds=2")
     printed = capsys.readouterr().out
     assert "checkpoint" in printed and "nothing found" in printed
 
