@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
+from hydra import compose
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.experiments.cells import Cell, make_cell
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.training.cli import recipe_configs
 
 World = dict[str, Any]
 """The keys of a scenario's yaml, all of them."""
@@ -145,7 +144,7 @@ class Study:
         if (name, overrides) not in self._configs:
             recipe = self.trained[name]["recipe"]
             try:
-                with self._hydra():
+                with recipe_configs(self._recipes):
                     composed = compose(Path(recipe).stem, list(overrides))
             except HydraException as error:
                 raise ScenarioError(f"trained.{name}.overrides: {recipe} refuses them: {error}") from error
@@ -154,12 +153,6 @@ class Study:
                 self._mask = config["scenario"]["mask"]
             self._configs[name, overrides] = {key: config[key] for key in config if key not in NO_MATTER}
         return self._configs[name, overrides]
-
-    def _hydra(self) -> contextlib.AbstractContextManager[Any]:
-        """The recipes' configs, which a recipe at work has opened already."""
-        if GlobalHydra.instance().is_initialized():
-            return contextlib.nullcontext()
-        return initialize_config_dir(str(self._recipes / "config"), version_base=None)
 
     def about(self) -> str:
         """What every title says: the effort behind the figure."""

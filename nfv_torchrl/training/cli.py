@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, NoReturn, ParamSpec, TypeVar
 
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import InstantiationException
 
 from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError
@@ -48,6 +52,13 @@ def check_keys(config: Mapping[str, Any], known: Iterable[str]) -> None:
     for key in config:
         if key not in (names := [*known]):
             raise ScenarioError(f"{key}: this recipe has no such key; known keys: {', '.join(names)}")
+
+
+def recipe_configs(recipes: Path) -> contextlib.AbstractContextManager[Any]:
+    """For ``hydra.compose``: the configs of the recipes in a folder, which a recipe at work has opened already."""
+    if GlobalHydra.instance().is_initialized():
+        return contextlib.nullcontext()
+    return initialize_config_dir(str(recipes.resolve() / "config"), version_base=None)
 
 
 def _leave(error: BaseException) -> NoReturn:

@@ -1,0 +1,155 @@
+"""One policy on many networks: the same weights, unchanged, against planners on the same requests.
+
+    python recipes/dqn.py network=candidate run_dir=runs/candidate
+    python recipes/transfer.py checkpoint=runs/candidate/best.pt
+    python recipes/transfer.py checkpoint=runs/candidate/best.pt only=[paper_50,geant2009] seeds=10
+
+A policy fits a network that it was not trained on if its network serves any size, as ``network=candidate`` does. Every
+method on every network is a cell of its own, audited, that is not computed again.
+
+Writes to ``output``: ``transfer.md``, ``transfer.csv`` and ``cells``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import hydra
+from hydra import compose
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.evaluation.figures import csv_text
+from nfv_torchrl.evaluation.statistics import Interval, mean_interval, paired_difference
+from nfv_torchrl.evaluation.tables import Table
+from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
+from nfv_torchrl.experiments.pool import compute
+from nfv_torchrl.experiments.rows import paired_cost, values
+from nfv_torchrl.files import write_atomically
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.training.cli import check_keys, clear_errors, recipe_configs
+
+KEYS = ("checkpoint", "method", "networks", "only", "seeds", "bounds", "jobs", "output")
+POLICY = "checkpoint"
+
+
+@hydra.main(config_path="config", config_name="transfer", version_base=None)
+@clear_errors
+def main(cfg: DictConfig) -> None:
+    config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
+    check_keys(config, KEYS)
+    if config["checkpoint"] is None or not Path(config["checkpoint"]).is_file():
+        raise ScenarioError(f"checkpoint: {config['checkpoint']} is no file; name one, such as runs/candidate/best.pt")
+    store = CellStore(config["output"], Path(__file__).parent)
+    worlds = {name: read_scenario(name, config["networks"][name]) for name in chosen(config)}
+    cells = {name: evaluations(config, name, world) for name, world in worlds.items()}
+    bounds = {name: bound(config, name, world) for name, world in worlds.items() if config["bounds"]}
+    wanted = [*(cell for found in cells.values() for cell in found.values()), *bounds.values()]
+    failures = compute(wanted, store, jobs=config["jobs"], report=print_progress)
+
+    there = [name for name, found in cells.items() if all(map(store.has, found.values()))]
+    rows = [row for name in there for row in network_rows(name, worlds[name], cells[name], bounds.get(name), store)]
+    seen = {"seen" if world["observe_lifetime"] else "hidden" for world in worlds.values()}
+    about = f"{config['seeds']} workload seeds, lifetimes {' or '.join(sorted(seen))}"
+    table = transfer_table(rows, list(config["method"]), about)
+    write_atomically(store.folder / "transfer.csv", csv_text(rows))
+    write_atomically(store.folder / "transfer.md", table.markdown() + "\n")
+    print(f"\n{table.text()}\n\nTable and cells: {store.folder}")
+    if failures:
+        raise ScenarioError("\n  ".join(["some runs failed:", *(f"{key}: {text}" for key, text in failures.items())]))
+
+
+def chosen(config: Mapping[str, Any]) -> list[str]:
+    """Names of the networks to evaluate on."""
+    names = config["only"] or list(config["networks"])
+    unknown = [name for name in names if name not in config["networks"]]
+    if unknown:
+        raise ScenarioError(f"only: there is no {unknown[0]!r}; networks: {', '.join(config['networks'])}")
+    return names
+
+
+def read_scenario(name: str, overrides: Sequence[str]) -> dict[str, Any]:
+    """The scenario that the overrides of a network make, as evaluate.py would read it."""
+    try:
+        with recipe_configs(Path(__file__).parent):
+            composed = compose("evaluate", list(overrides))
+    except HydraException as error:
+        raise ScenarioError(f"networks.{name}: {error}") from error
+    return {**cast(dict[str, Any], OmegaConf.to_container(composed.scenario, resolve=True)), "name": name}
+
+
+def evaluations(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) -> dict[str, Cell]:
+    """Every method on one network, the policy last."""
+    seeds = list(range(config["seeds"]))
+    made = {}
+    for key, method in config["method"].items():
+        spec = {"scenario": world, "method": method, "training": None, "seeds": seeds}
+        if key == POLICY:  # another policy in the same file is another cell
+            spec["policy"] = hashlib.sha256(Path(config["checkpoint"]).read_bytes()).hexdigest()
+        made[key] = make_cell("evaluation", f"{name}-{key}", spec)
+    return made
+
+
+def bound(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) -> Cell:
+    """What is mathematically possible there."""
+    return make_cell("bound", f"{name}-bound", {"scenario": world, "seeds": list(range(config["seeds"]))})
+
+
+def print_progress(cell: Cell, at_work: list[Cell]) -> None:
+    """One line for each cell that has ended."""
+    print(f"{cell.label} ended; at work: {', '.join(other.label for other in at_work) or 'nothing'}", flush=True)
+
+
+def network_rows(
+    name: str, world: Mapping[str, Any], cells: Mapping[str, Cell], bound: Cell | None, store: CellStore
+) -> list[dict[str, Any]]:
+    """One row for each quantity of one network: mean over seeds and its interval."""
+    scenario = Scenario.from_config(world)
+    about = {"network": name, "nodes": scenario.substrate.num_nodes, "rho": round(scenario.offered_load(), 4)}
+    aar = {key: values(store.read(cell), "aar") for key, cell in cells.items()}
+    found: dict[str, Interval] = {f"aar {key}": mean_interval(sample) for key, sample in aar.items()}
+    for key in [key for key in cells if key != POLICY]:
+        found[f"aar minus {key}"] = paired_difference(aar[POLICY], aar[key])
+        found[f"cost over {key}"] = paired_cost(store, cells[POLICY], cells[key])
+    if bound is not None and store.has(bound):
+        for kind, by_seed in store.read(bound)["bounds"].items():
+            found[f"bound {kind}"] = mean_interval(list(by_seed.values()))
+    return [
+        {**about, "quantity": key, "mean": value.mean, "ci_low": value.low, "ci_high": value.high, "n": value.n}
+        for key, value in found.items()
+    ]
+
+
+def transfer_table(rows: Sequence[Mapping[str, Any]], methods: Sequence[str], about: str) -> Table:
+    """The rows as one line for each network."""
+    others = [key for key in methods if key != POLICY]
+    quantities = {f"aar {key}": (f"AAR {key}", "{:.3f}") for key in methods}
+    quantities |= {f"aar minus {key}": (f"minus {key}", "{:+.3f}") for key in others}
+    quantities |= {f"cost over {key}": (f"paired cost / {key}", "{:.2f}") for key in others}
+    quantities |= {row["quantity"]: (row["quantity"], "{:.3f}") for row in rows if row["quantity"].startswith("bound")}
+    found = {(row["network"], row["quantity"]): row for row in rows}
+    lines = []
+    for network in dict.fromkeys(row["network"] for row in rows):
+        line = [network]
+        first = next(row for row in rows if row["network"] == network)
+        line += [str(first["nodes"]), f"{first['rho']:.2f}"]
+        for quantity, (_, form) in quantities.items():
+            row = found.get((network, quantity))
+            line.append("–" if row is None else show(row, form))
+        lines.append(tuple(line))
+    heads = ("network", "N", "rho", *(head for head, _ in quantities.values()))
+    return Table(f"One policy on every network: {about}", heads, tuple(lines))
+
+
+def show(row: Mapping[str, Any], form: str) -> str:
+    """A mean and the half width of its interval, if there is one."""
+    half = row["ci_high"] - row["mean"]
+    return form.format(row["mean"]) + ("" if half != half else " ± " + form.replace("+", "").format(half))
+
+
+if __name__ == "__main__":
+    main()

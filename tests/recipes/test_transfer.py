@@ -1,0 +1,108 @@
+"""One policy on networks of other sizes: numbers from made-up cells by hand, and once for real at tiny size."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import numpy as np
+import pytest
+from inprocess import call, recipe
+from tiny import TINY_SCENARIO
+
+from nfv_torchrl.experiments import rows
+from nfv_torchrl.losses import DQN
+from nfv_torchrl.networks import CandidateNetwork, Sizes
+from nfv_torchrl.scenario import paper_scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.policies import policy_content, save_policy
+
+AAR = {"greedy": [0.80, 0.80, 0.80], "checkpoint": [0.82, 0.83, 0.84]}
+COSTS = {"greedy": [4.0, math.nan, 6.0], "checkpoint": [6.0, 9.0, 9.0]}  # both accept the first and the third
+
+
+@pytest.fixture
+def policy(tmp_path):
+    """An untrained candidate network of five nodes, as a policy file."""
+    scenario = paper_scenario(nodes=5, seed=0, mask="feasible")
+    sizes = Sizes.of(Simulator(scenario, 1))
+    config = {
+        "network": {"_target_": "nfv_torchrl.networks.CandidateNetwork", "_partial_": True, "hidden": [8]},
+        "loss": {"_target_": "nfv_torchrl.losses.DQN"},
+        "one_hot": True,
+    }
+    loss = DQN(lambda sizes, outputs=1: CandidateNetwork(sizes, outputs, hidden=[8]), sizes)
+    save_policy(tmp_path / "best.pt", policy_content(loss, sizes, config, scenario, {}))
+    return tmp_path / "best.pt"
+
+
+def rows_of(folder):
+    with (folder / "transfer.csv").open() as file:
+        return {(row["network"], row["quantity"]): row for row in csv.DictReader(file)}
+
+
+def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
+    def pretend(cells, store, *, jobs, report):
+        for cell in cells:
+            name = cell.label.removeprefix("paper-")
+            store.write(cell, {"rho": 1.0, "metrics": {str(s): {"aar": aar} for s, aar in enumerate(AAR[name])}})
+        return {}
+
+    def costs(cell, store):
+        return {"0": np.array(COSTS[cell.label.removeprefix("paper-")])}
+
+    monkeypatch.setattr(recipe("transfer"), "compute", pretend)
+    monkeypatch.setattr(rows, "read_costs", costs)
+    call(
+        "transfer",
+        f"checkpoint={policy}",
+        "only=[paper]",
+        "method=[greedy,checkpoint]",
+        "seeds=3",
+        f"output={tmp_path}",
+    )
+    found = rows_of(tmp_path)
+    # Differences 0.02, 0.03, 0.04: mean 0.03, standard deviation 0.01, t quantile for two degrees 4.3027.
+    assert float(found["paper", "aar minus greedy"]["mean"]) == pytest.approx(0.03)
+    assert float(found["paper", "aar minus greedy"]["ci_high"]) == pytest.approx(0.03 + 4.302653 * 0.01 / math.sqrt(3))
+    assert float(found["paper", "cost over greedy"]["mean"]) == pytest.approx(1.5)
+    text = (tmp_path / "transfer.md").read_text()
+    assert "| paper | 10 | 0.85 | 0.800 ± 0.000 | 0.830 ± 0.025 | +0.030 ± 0.025 | 1.50 |" in text
+
+
+def test_for_real_on_other_sizes_and_not_twice(tmp_path, policy, monkeypatch, capsys):
+    tiny = [text for text in TINY_SCENARIO if "nodes" not in text]
+    networks = []
+    for name, network in (("six", "scenario.substrate.nodes=6"), ("real", "scenario.substrate.path=abilene")):
+        overrides = ",".join(f"'{text}'" for text in (*tiny, network))
+        networks.append(f"+networks.{name}=[{overrides}]")
+    arguments = [
+        f"checkpoint={policy}",
+        *networks,
+        "only=[six,real]",
+        "seeds=2",
+        "jobs=1",
+        f"output={tmp_path / 'out'}",
+    ]
+    call("transfer", *arguments, "bounds=true")
+    found = rows_of(tmp_path / "out")
+    assert {network: found[network, "aar checkpoint"]["nodes"] for network in ("six", "real")} == {
+        "six": "6",
+        "real": "11",
+    }
+    for network in ("six", "real"):
+        for method in ("greedy", "myopic_optimal", "checkpoint"):
+            assert (
+                0 < float(found[network, f"aar {method}"]["mean"]) <= float(found[network, "bound hindsight"]["mean"])
+            )
+    done = []
+    monkeypatch.setattr(recipe("transfer"), "print_progress", lambda cell, at_work: done.append(cell))
+    call("transfer", *arguments, "bounds=true")
+    assert not done
+
+
+def test_what_is_missing_is_named(tmp_path, policy, capsys):
+    for given, named in (([], "checkpoint"), ([f"checkpoint={policy}", "only=[atlantis]"], "atlantis")):
+        with pytest.raises(SystemExit):
+            call("transfer", *given, f"output={tmp_path}")
+        assert named in capsys.readouterr().err
