@@ -12,6 +12,7 @@ import numpy as np
 from nfv_torchrl.evolution.policies import Evolvable, Player
 from nfv_torchrl.evolution.tasks import Task
 from nfv_torchrl.networks.prices import PriceNetwork
+from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
 from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.simulator import Simulator
 
@@ -25,6 +26,13 @@ class Score(NamedTuple):
     fitness: float
 
 
+class Baseline(NamedTuple):
+    """What ``myopic_optimal`` does on a task: cost of every request, float64 [R] (NaN: rejected), and the gap above."""
+
+    costs: np.ndarray
+    gap: float
+
+
 def summary(scores: Sequence[Score]) -> dict[str, float]:
     """Means over tasks: ``fitness``, ``aar``, ``aar_gain`` (over ``myopic_optimal``) and ``paired_cost``."""
     aar, myopic, paired, fitness = (fmean(column) for column in zip(*scores, strict=True))
@@ -34,19 +42,20 @@ def summary(scores: Sequence[Score]) -> dict[str, float]:
 class Arena:
     """Plays policies on tasks in several threads; results do not depend on how many.
 
-    The fitness of a task is (AAR - AAR of ``myopic_optimal``) / (room + spread) - cost_weight * max(0, paired cost - 1)
-    - saving_weight * (paired cost - 1). ``room`` is 1 - AAR of ``myopic_optimal``: winning the last requests on a
-    network where few are lost counts as much as winning many under overload.
+    The fitness of a task is (AAR - AAR of ``myopic_optimal``) / (gap + spread) - cost_weight * max(0, paired cost - 1)
+    - saving_weight * (paired cost - 1). ``gap`` is what the bound on AAR leaves above ``myopic_optimal`` (the
+    lifetime-blind bound, or that in hindsight where lifetimes are seen): a network with little to win counts as much as
+    one with much.
 
     Args:
         threads: threads, each with simulators of its own.
         cost_weight: for every unit by which the paired cost exceeds that of ``myopic_optimal``.
         saving_weight: for the paired cost itself, above or below.
-        spread: keeps the division tame where nothing is lost.
+        spread: keeps the division tame where there is hardly a gap.
     """
 
     def __init__(
-        self, *, threads: int = 2, cost_weight: float = 1.0, saving_weight: float = 0.05, spread: float = 0.02
+        self, *, threads: int = 2, cost_weight: float = 1.0, saving_weight: float = 0.05, spread: float = 0.01
     ) -> None:
         self.threads = threads
         self.cost_weight, self.saving_weight, self.spread = cost_weight, saving_weight, spread
@@ -54,20 +63,27 @@ class Arena:
 
     def scores(self, policies: Sequence[Evolvable], tasks: Sequence[Task]) -> list[list[Score]]:
         """Every policy on every task: a list for each policy."""
-        myopic = self._pool.map(lambda task: self._costs(LearnedPrices(PriceNetwork(hidden=0).weights()), task), tasks)
-        baselines = list(myopic)
+        baselines = list(self._pool.map(self._baseline, tasks))
         jobs = [(policy, task, base) for policy in policies for task, base in zip(tasks, baselines, strict=True)]
         flat = list(self._pool.map(lambda job: self._score(*job), jobs))
         size = len(tasks)
         return [flat[first : first + size] for first in range(0, len(flat), size)]
 
-    def _score(self, policy: Evolvable, task: Task, baseline: np.ndarray) -> Score:
+    def _baseline(self, task: Task) -> Baseline:
+        costs = self._costs(LearnedPrices(PriceNetwork().weights()), task)
+        myopic = float(np.isfinite(costs).mean())
+        if myopic == 1.0:
+            return Baseline(costs, 0.0)
+        upper = hindsight_bound if task.scenario.observe_lifetime else blind_bound
+        return Baseline(costs, max(upper(task.scenario, task.workload, task.timeline).aar - myopic, 0.0))
+
+    def _score(self, policy: Evolvable, task: Task, baseline: Baseline) -> Score:
         settled = Task(policy.settings(task.scenario), task.workload, task.timeline)
         costs = self._costs(policy.player(), settled)
-        both = np.isfinite(costs) & np.isfinite(baseline)
-        paired = float(costs[both].sum() / baseline[both].sum()) if both.any() else 1.0
-        aar, myopic = float(np.isfinite(costs).mean()), float(np.isfinite(baseline).mean())
-        gain = (aar - myopic) / (1.0 - myopic + self.spread)
+        both = np.isfinite(costs) & np.isfinite(baseline.costs)
+        paired = float(costs[both].sum() / baseline.costs[both].sum()) if both.any() else 1.0
+        aar, myopic = float(np.isfinite(costs).mean()), float(np.isfinite(baseline.costs).mean())
+        gain = (aar - myopic) / (baseline.gap + self.spread)
         fitness = gain - self.cost_weight * max(0.0, paired - 1.0) - self.saving_weight * (paired - 1.0)
         return Score(aar, myopic, paired, fitness)
 

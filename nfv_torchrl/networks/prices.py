@@ -9,6 +9,11 @@ from torch import Tensor, nn
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.learned_prices import ADMIT_FEATURES, LINK_FEATURES, VM_FEATURES, Head, PriceWeights
 
+BEGINNINGS = ("myopic_optimal", "priced_admit")
+RULE_PRICE, RULE_STEEPNESS, RULE_THRESHOLD = 2.0, 3000.0, 4.66
+"""``priced_admit`` with p = 400 $ and refusal above 4000 $, in price units (200 $ in the paper's ranges) and, the
+threshold, in price units for the reference load (4.3 Mcycles/s in the paper's catalogue)."""
+
 
 class PriceHead(nn.Module):
     r"""One function: :math:`f(x) = w \cdot (x, 1) + \sum_h v_h \tanh(u_h \cdot (x, 1))`.
@@ -40,20 +45,38 @@ class PriceNetwork(nn.Module):
 
     Args:
         hidden: neurons of the hidden layer of each of the three functions.
+        begin: ``myopic_optimal`` (all zero), or ``priced_admit``: near the hand-tuned rule of that name.
 
     Raises:
-        ScenarioError: ``hidden`` is negative.
+        ScenarioError: ``hidden`` is negative, or there is no such ``begin``.
     """
 
     any_size = True
 
-    def __init__(self, *, hidden: int = 4) -> None:
+    def __init__(self, *, hidden: int = 0, begin: str = "myopic_optimal") -> None:
         super().__init__()
         if hidden < 0:
             raise ScenarioError(f"network.hidden: {hidden}; use 0 (linear functions) or more")
+        if begin not in BEGINNINGS:
+            raise ScenarioError(f"network.begin: {begin!r}; use one of {', '.join(BEGINNINGS)}")
         self.vm = PriceHead(len(VM_FEATURES), hidden)
         self.link = PriceHead(len(LINK_FEATURES), hidden)
         self.admit = PriceHead(len(ADMIT_FEATURES), hidden)
+        if begin == "priced_admit":
+            self._begin_at_rule()
+
+    @torch.no_grad()
+    def _begin_at_rule(self) -> None:
+        """Prices p (M^u - 1) / (M - 1), refusal above a priced cost, as ``priced_admit``; units are relative here."""
+        used = np.linspace(0.01, 1.0, 100)
+        price = RULE_PRICE * (RULE_STEEPNESS**used - 1.0) / (RULE_STEEPNESS - 1.0)
+        powers = np.stack([used, used**4, used**16, np.ones_like(used)], axis=1)
+        # A price is used share times f, so f is fitted to price / used, weighted by used.
+        fitted = np.linalg.lstsq(powers * used[:, None], price, rcond=None)[0]
+        for head in (self.vm, self.link):
+            head.linear[:3] = torch.from_numpy(fitted[:3])
+            head.linear[-1] = float(fitted[3])
+        self.admit.linear[ADMIT_FEATURES.index("priced")] = 3.0 / float(np.log(RULE_THRESHOLD))
 
     def weights(self) -> PriceWeights:
         """The weights as the compiled search takes them."""
