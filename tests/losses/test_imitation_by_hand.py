@@ -27,3 +27,13 @@ def test_nothing_of_the_next_state_is_stored():
     loss = Imitation(table_network(TABLE), SIZES)
     data = transition(action=1, mask=[1, 1, 0, 0], reward=0.0, next_mask=[1, 1, 1, 1], done=False)
     assert set(loss.prepare(data).keys(True, True)) == {"observation", "action_mask", "action"}
+
+
+def test_a_temperature_divides_preferences():
+    data = transition(action=1, mask=[1, 1, 0, 0], reward=0.0, next_mask=[1, 1, 1, 1], done=False)
+    # Twice the difference: 2^2 and 6^2.
+    assert Imitation(table_network(TABLE), SIZES, temperature=0.5)(data)["loss"].item() == pytest.approx(
+        -math.log(36 / 40)
+    )
+    with pytest.raises(ValueError, match=r"loss\.temperature is 0"):
+        Imitation(table_network(TABLE), SIZES, temperature=0.0)
