@@ -19,10 +19,11 @@ class Imitation(MaskedLoss):
 
     .. math:: - \log \frac{e^{f(s, a) / \tau}}{\sum_{b \in A_p(s)} e^{f(s, b) / \tau}}
 
-    with f the network's output and :math:`\tau` the temperature (Pomerleau, "ALVINN", NeurIPS 1988; Bojarski et al., 2016). It needs no reward and looks
-    at no next state. The weights are preferences and no values: they start a policy-gradient loss well, and Q-learning
-    only after its values have been learned anew. A small temperature keeps them as far apart as the values of a reward of
-    that order would be, so that Q-learning that begins with them (``init_from`` of ``recipes/dqn.py``) forgets less.
+    with f the network's output and :math:`\tau` the temperature (Pomerleau, "ALVINN", NeurIPS 1988; Bojarski et al.,
+    2016). It needs no reward and looks at no next state. The weights are preferences and no values: they start a
+    policy-gradient loss well, and Q-learning only after its values have been learned anew. A small temperature keeps
+    them as far apart as values are, so that Q-learning that begins with them (``init_from`` of ``recipes/dqn.py``) has
+    less to unlearn.
 
     Args:
         network: factory of the network.
