@@ -14,7 +14,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.runner import run_method, scenario_for
 from nfv_torchrl.networks.prices import PriceHead, PriceNetwork
-from nfv_torchrl.planners import MyopicPlanner
+from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.planners.learned_prices import (
     ADMIT_FEATURES,
     LINK_FEATURES,
@@ -169,6 +169,30 @@ def test_the_compiled_functions_are_the_networks():
     assert scratch.search.link_price[4] == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_negative_size_is_refused():
+@torch.no_grad()
+def test_it_may_begin_near_the_hand_tuned_rule():
+    made = PriceNetwork(begin="priced_admit")
+    used = torch.linspace(0, 1, 101)
+    x = torch.zeros(101, len(VM_FEATURES))
+    x[:, 0], x[:, 1], x[:, 2] = used, used**4, used**16
+    price = used * made.vm(x).clamp(min=0)
+    rule = 2.0 * (3000.0**used - 1) / 2999
+    assert (price - rule).abs().max() < 0.1  # of prices up to 2
+    scenario = paper_scenario(8, seed=1, arrival_rate=25.0, mean_lifetime=300.0, horizon=200, colocation=True,
+                              substrate={"target_rho": 3.0})  # fmt: skip
+    rule_based, ours, myopic = (
+        run_method(scenario, method, [0])[0].accepted
+        for method in (
+            PlannerMethod(PricedPlanner(price=400.0, admit_threshold=4000.0), name="rule"),
+            LearnedPrices(made.weights()),
+            PlannerMethod(MyopicPlanner(), name="myopic"),
+        )
+    )
+    assert (ours != rule_based).mean() < 0.04 < (ours != myopic).mean()
+
+
+def test_bad_settings_are_named():
+    with pytest.raises(ScenarioError, match=r"network\.begin: 'zero'"):
+        PriceNetwork(begin="zero")
     with pytest.raises(ScenarioError, match=r"network\.hidden"):
         PriceNetwork(hidden=-1)
