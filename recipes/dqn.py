@@ -25,6 +25,7 @@ from torchrl.modules import EGreedyModule
 from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
@@ -45,16 +46,23 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
+    # Where environments live: on the scenario's network, or each on one of its own.
+    worlds = [scenario]
+    if cfg.networks is not None:
+        source = instantiate(config["networks"])(config["scenario"])
+        worlds = source.scenarios(cfg.seed, cfg.collector.num_envs)
 
     # Loss first: it makes the network, whose observations the environment has to emit.
-    sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
+    sizes = Sizes.of(Simulator(worlds, len(worlds), one_hot=cfg.one_hot))
     loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+    if cfg.networks is not None and not q_network(loss).any_size:
+        raise ScenarioError("networks: substrates of several sizes need a network that fits any; set network=candidate")
     if cfg.init_from and not cfg.resume:
         load_weights(q_network(loss), cfg.init_from)
     # After all that may be refused: making the folder sets an older run aside.
     folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
     env = NFVEnv(
-        scenario,
+        worlds,
         cfg.collector.num_envs,
         reward=instantiate(cfg.reward),
         one_hot=cfg.one_hot,

@@ -90,9 +90,16 @@ class RandomNetworks:
 
     def draw(self, seed: int, generation: int, count: int) -> list[Task]:
         """``count`` tasks, always the same for the same arguments."""
-        return [self._task(seed, generation, k, count) for k in range(count)]
+        return [
+            Task.of(self._scenario(seed, generation, k, generation * count + k), seed, generation, k)
+            for k in range(count)
+        ]
 
-    def _task(self, seed: int, generation: int, k: int, count: int) -> Task:
+    def scenarios(self, seed: int, count: int) -> list[Scenario]:
+        """``count`` networks to train on step by step, one for each environment of a batch."""
+        return [self._scenario(seed, 0, k, k) for k in range(count)]
+
+    def _scenario(self, seed: int, generation: int, k: int, turn: int) -> Scenario:
         rng = generator(seed, Stream.NETWORKS, generation, k)
         nodes = round(_log_uniform(rng, *self.nodes))
         substrate = {
@@ -108,10 +115,10 @@ class RandomNetworks:
             "seed": int(rng.integers(FIRST_SCENARIO_SEED, 2**31)),
             "arrival_rate": float(rng.choice(self.arrival_rate)),
             "horizon": int(rng.choice(self.horizon)),
-            "colocation": bool(self.colocation[(generation * count + k) % len(self.colocation)]),
+            "colocation": bool(self.colocation[turn % len(self.colocation)]),
             "substrate": substrate,
         }
-        return Task.of(Scenario.from_config(config), seed, generation, k)
+        return Scenario.from_config(config)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

@@ -30,6 +30,7 @@ CHOICES = {
     "dueling": ["network=dueling"],
     "noisy": ["network=noisy", "exploration=none"],
     "candidate": ["network=candidate", "loss=distributional"],
+    "networks": ["network=candidate", "networks=random", "networks.nodes=[5,7]", "networks.arrival_rate=[4]"],
 }
 
 
@@ -87,3 +88,9 @@ def test_noise_is_off_in_an_evaluation_and_back_after_it(tmp_path):
     seen = torch.zeros(1, sizes.observation)
     layers = loss.actor[0].module.layers
     assert not torch.equal(layers(seen), layers(seen))
+
+
+def test_random_networks_need_a_network_of_any_size(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        train(tmp_path / "run", "networks=random", "networks.nodes=[5,7]", "networks.arrival_rate=[4]")
+    assert "set network=candidate" in capsys.readouterr().err
