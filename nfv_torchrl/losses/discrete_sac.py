@@ -36,10 +36,10 @@ class DiscreteSAC(MaskedLoss):
     Args:
         network: factory of the policy's and the Q-networks.
         sizes: sizes of observation and actions.
-        gamma: discount per step.
+        gamma: discount per step; below 1, because every further step is paid alpha times its entropy, more than a step
+            of a small service costs, so that undiscounted values make walks wander.
         entropy_share: c.
-        alpha: initial temperature, small beside the differences between values: the entropy of every further step is
-            worth alpha times it, which would make longer walks pay.
+        alpha: initial temperature, small beside the differences between values.
         learn_alpha: False keeps it.
         stop_at: key that ends the look ahead: ``request_done``, or ``done`` to look across requests.
 
@@ -62,7 +62,7 @@ class DiscreteSAC(MaskedLoss):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 1.0,
+        gamma: float = 0.95,
         entropy_share: float = 0.1,
         alpha: float = 0.01,
         learn_alpha: bool = True,
