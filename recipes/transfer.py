@@ -3,6 +3,7 @@
     python recipes/dqn.py network=candidate run_dir=runs/candidate
     python recipes/transfer.py checkpoint=runs/candidate/best.pt
     python recipes/transfer.py checkpoint=runs/candidate/best.pt only=[paper_50,geant2009] seeds=10
+    python recipes/transfer.py checkpoint=runs/evolution/best.pt rho=[0.5,1,2] draws=true seeds=10
 
 A policy fits a network that it was not trained on if its network serves any size, as ``network=candidate`` does. Every
 method on every network is a cell of its own, audited, that is not computed again.
@@ -33,7 +34,7 @@ from nfv_torchrl.files import write_atomically
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.cli import check_keys, clear_errors, recipe_configs
 
-KEYS = ("checkpoint", "method", "networks", "only", "seeds", "bounds", "jobs", "output")
+KEYS = ("checkpoint", "method", "networks", "only", "rho", "draws", "overrides", "seeds", "bounds", "jobs", "output")
 POLICY = "checkpoint"
 
 
@@ -45,7 +46,7 @@ def main(cfg: DictConfig) -> None:
     if config["checkpoint"] is None or not Path(config["checkpoint"]).is_file():
         raise ScenarioError(f"checkpoint: {config['checkpoint']} is no file; name one, such as runs/candidate/best.pt")
     store = CellStore(config["output"], Path(__file__).parent)
-    worlds = {name: read_scenario(name, config["networks"][name]) for name in chosen(config)}
+    worlds = {label: read_scenario(label, overrides) for label, overrides in rows_wanted(config).items()}
     cells = {name: evaluations(config, name, world) for name, world in worlds.items()}
     bounds = {name: bound(config, name, world) for name, world in worlds.items() if config["bounds"]}
     wanted = [*(cell for found in cells.values() for cell in found.values()), *bounds.values()]
@@ -54,7 +55,11 @@ def main(cfg: DictConfig) -> None:
     there = [name for name, found in cells.items() if all(map(store.has, found.values()))]
     rows = [row for name in there for row in network_rows(name, worlds[name], cells[name], bounds.get(name), store)]
     seen = {"seen" if world["observe_lifetime"] else "hidden" for world in worlds.values()}
-    about = f"{config['seeds']} workload seeds, lifetimes {' or '.join(sorted(seen))}"
+    colocation = {"on" if world["colocation"] else "off" for world in worlds.values()}
+    about = (
+        f"{config['seeds']} {'scenario seeds with a workload seed each' if config['draws'] else 'workload seeds'}, "
+        f"lifetimes {' or '.join(sorted(seen))}, colocation {' or '.join(sorted(colocation))}"
+    )
     table = transfer_table(rows, list(config["method"]), about)
     write_atomically(store.folder / "transfer.csv", csv_text(rows))
     write_atomically(store.folder / "transfer.md", table.markdown() + "\n")
@@ -72,6 +77,18 @@ def chosen(config: Mapping[str, Any]) -> list[str]:
     return names
 
 
+def rows_wanted(config: Mapping[str, Any]) -> dict[str, list[str]]:
+    """The overrides of evaluate.py behind each row: every network, at every load asked for."""
+    rows = {}
+    for name in chosen(config):
+        overrides = [*config["networks"][name], *config["overrides"]]
+        if config["rho"] is None:
+            rows[name] = overrides
+        for rho in config["rho"] or ():
+            rows[f"{name} rho {rho:g}"] = [*overrides, f"scenario.substrate.target_rho={rho}"]
+    return rows
+
+
 def read_scenario(name: str, overrides: Sequence[str]) -> dict[str, Any]:
     """The scenario that the overrides of a network make, as evaluate.py would read it."""
     try:
@@ -84,10 +101,9 @@ def read_scenario(name: str, overrides: Sequence[str]) -> dict[str, Any]:
 
 def evaluations(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) -> dict[str, Cell]:
     """Every method on one network, the policy last."""
-    seeds = list(range(config["seeds"]))
     made = {}
     for key, method in config["method"].items():
-        spec = {"scenario": world, "method": method, "training": None, "seeds": seeds}
+        spec = {"scenario": world, "method": method, "training": None, **seeds_of(config)}
         if key == POLICY:  # another policy in the same file is another cell
             spec["policy"] = hashlib.sha256(Path(config["checkpoint"]).read_bytes()).hexdigest()
         made[key] = make_cell("evaluation", f"{name}-{key}", spec)
@@ -96,7 +112,13 @@ def evaluations(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) 
 
 def bound(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) -> Cell:
     """What is mathematically possible there."""
-    return make_cell("bound", f"{name}-bound", {"scenario": world, "seeds": list(range(config["seeds"]))})
+    return make_cell("bound", f"{name}-bound", {"scenario": world, **seeds_of(config)})
+
+
+def seeds_of(config: Mapping[str, Any]) -> dict[str, list[int]]:
+    """The seeds of every cell; with ``draws`` each workload seed meets the network of a scenario seed of its own."""
+    seeds = list(range(config["seeds"]))
+    return {"seeds": seeds, "scenario_seeds": seeds} if config["draws"] else {"seeds": seeds}
 
 
 def print_progress(cell: Cell, at_work: list[Cell]) -> None:

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -178,33 +178,6 @@ def cost_matrix(comparison: Comparison) -> Table:
     ]
     title = "Paired cost, row over column: sum of phi over the requests both accept, as a ratio, mean over seeds"
     return Table(title, ("method", *comparison.methods), tuple(rows))
-
-
-def overview_table(comparisons: Mapping[str, Comparison], reference: str) -> Table:
-    """One row a comparison: its size and load, every method's AAR, and how each stands to ``reference``, paired."""
-    first = next(iter(comparisons.values()))
-    others = [method for method in first.methods if method != reference]
-    rows = [
-        (
-            name,
-            str(comparison.scenario.substrate.num_nodes),
-            _loads(comparison),
-            *(_cell(comparison.interval(method, "aar"), _share) for method in comparison.methods),
-            *(_span(comparison.difference(method, reference), _signed) for method in others),
-            *(_span(comparison.paired_cost(method, reference), _share) for method in others),
-        )
-        for name, comparison in comparisons.items()
-    ]
-    columns = (
-        *("network", "N", "rho"),
-        *(f"AAR {method}" for method in first.methods),
-        *(f"{method} - {reference}" for method in others),
-        *(f"paired cost {method}" for method in others),
-    )
-    seen = "seen" if first.scenario.observe_lifetime else "hidden"
-    colocation = "on" if first.scenario.colocation else "off"
-    title = f"lifetimes {seen}, colocation {colocation}, T = {first.scenario.horizon}, {_seeds(first)} per row"
-    return Table(f"{title}; mean and 95 % interval", columns, tuple(rows))
 
 
 def _paired(

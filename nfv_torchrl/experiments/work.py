@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ def work(cell: Cell, store: CellStore) -> None:
 def evaluate(cell: Cell, store: CellStore) -> Result:
     """A method on the workloads of some seeds: the metrics of each run, all audited.
 
+    With ``scenario_seeds`` in the spec, as many, each seed's network is that of its scenario seed.
     Beside them: ``mean_steps`` of accepted requests, ``paper_reward``, what eq. reward_f with both weights 1 pays in
     all for an accepted request, and ``frames``, the decisions of the whole horizon.
 
@@ -40,27 +42,28 @@ def evaluate(cell: Cell, store: CellStore) -> Result:
         AuditError: the audit found something.
     """
     spec = cell.spec
-    scenario = Scenario.from_config(spec["scenario"])
-    method = _Counted(_method(cell, store, scenario))
-    records = run_method(scenario, method, spec["seeds"])
+    scenarios = _scenarios(spec)
+    method = _Counted(_method(cell, store, scenarios))
+    records = run_method(scenarios, method, spec["seeds"])
     metrics = {}
     for record, frames in zip(records, method.frames, strict=True):
         metrics[str(record.workload_seed)] = {**_audited(record), **_walks(record), "frames": int(frames)}
     _write_costs(store.path(cell).with_suffix(".npz"), records)
-    return {"rho": scenario.offered_load(), "metrics": metrics}
+    return {"rho": fmean(scenario.offered_load() for scenario in scenarios), "metrics": metrics}
 
 
 def bound(cell: Cell, store: CellStore) -> Result:
     """Upper bounds on AAR of every seed; ``blind`` only where methods do not see lifetimes."""
-    scenario = Scenario.from_config(cell.spec["scenario"])
-    blind = scenario.workload_path is None and not scenario.observe_lifetime
+    scenarios, seeds = _scenarios(cell.spec), cell.spec["seeds"]
+    blind = scenarios[0].workload_path is None and not scenarios[0].observe_lifetime
     bounds: dict[str, dict[str, float]] = {kind: {} for kind in ("hindsight", "blind")[: 1 + blind]}
-    for seed in cell.spec["seeds"]:
+    worlds = scenarios if len(scenarios) > 1 else scenarios * len(seeds)
+    for scenario, seed in zip(worlds, seeds, strict=True):
         workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
         bounds["hindsight"][str(seed)] = hindsight_bound(scenario, workload, timeline).aar
         if blind:
             bounds["blind"][str(seed)] = blind_bound(scenario, workload, timeline).aar
-    return {"rho": scenario.offered_load(), "bounds": bounds}
+    return {"rho": fmean(scenario.offered_load() for scenario in scenarios), "bounds": bounds}
 
 
 def presence(cell: Cell, store: CellStore) -> Result:
@@ -113,7 +116,13 @@ class _Counted:
         return self.method.act(simulator)
 
 
-def _method(cell: Cell, store: CellStore, scenario: Scenario) -> Method:
+def _scenarios(spec: Mapping[str, Any]) -> list[Scenario]:
+    """The scenario of all seeds, or one for each of ``scenario_seeds``."""
+    draws = spec.get("scenario_seeds") or [spec["scenario"]["seed"]]
+    return [Scenario.from_config({**spec["scenario"], "seed": seed}) for seed in draws]
+
+
+def _method(cell: Cell, store: CellStore, scenario: Scenario | Sequence[Scenario]) -> Method:
     """The method of a cell; a trained one with its policy file, which is in the folder of the run that it needs."""
     spec = cell.spec
     config = dict(spec["method"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 
 import numpy as np
@@ -99,6 +100,32 @@ def test_for_real_on_other_sizes_and_not_twice(tmp_path, policy, monkeypatch, ca
     monkeypatch.setattr(recipe("transfer"), "print_progress", lambda cell, at_work: done.append(cell))
     call("transfer", *arguments, "bounds=true")
     assert not done
+
+
+def test_loads_and_draws_of_a_network(tmp_path, policy):
+    tiny = ",".join(f"'{text}'" for text in TINY_SCENARIO)
+    call(
+        "transfer",
+        f"checkpoint={policy}",
+        f"+networks.five=[{tiny}]",
+        "only=[five]",
+        "method=[greedy,checkpoint]",
+        "rho=[0.5,20]",
+        "draws=true",
+        "overrides=['scenario.colocation=true']",
+        "seeds=2",
+        "jobs=1",
+        f"output={tmp_path}",
+    )
+    found = rows_of(tmp_path)
+    light, heavy = (found[f"five rho {rho}", "aar greedy"] for rho in ("0.5", "20"))
+    assert (light["rho"], heavy["rho"]) == ("0.5", "20.0") and float(heavy["mean"]) < float(light["mean"])
+    text = (tmp_path / "transfer.md").read_text()
+    assert "2 scenario seeds with a workload seed each" in text and "colocation on" in text
+    cells = [json.loads(path.read_text()) for path in (tmp_path / "cells").glob("*.json")]
+    assert all(cell["spec"]["scenario_seeds"] == [0, 1] for cell in cells) and len(cells) == 4
+    networks = [paper_scenario(nodes=5, seed=seed).substrate for seed in (0, 1)]
+    assert not np.array_equal(networks[0].vm_unit_cost, networks[1].vm_unit_cost)
 
 
 def test_what_is_missing_is_named(tmp_path, policy, capsys):
