@@ -20,6 +20,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.observations import ObservationPart, read_observation
 from nfv_torchrl.planners.base import Planner
+from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.simulator import Simulator
@@ -106,11 +107,10 @@ class PlannerMethod:
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
         """See :class:`Method`."""
-        rules = simulator.world.rules
         self._rows = np.arange(simulator.batch_size)
-        self._plans = np.zeros((simulator.batch_size, rules.max_steps), np.int64)
+        self._plans = np.zeros((simulator.batch_size, simulator.world.rules.max_steps), np.int64)
         self._lengths = np.zeros(simulator.batch_size, np.int64)
-        self.planner.prepare(simulator.tables, rules)
+        self._prepare_planner(simulator)
         self._plan(simulator, self._rows[:0])
 
     def act(self, simulator: Simulator) -> np.ndarray:
@@ -122,6 +122,9 @@ class PlannerMethod:
             self._plan(simulator, fresh)
         reject = simulator.num_actions - 1
         return np.where(steps < self._lengths, self._plans[self._rows, steps], reject)
+
+    def _prepare_planner(self, simulator: Simulator) -> None:
+        self.planner.prepare(simulator.tables, simulator.world.rules)
 
     def _plan(self, simulator: Simulator, rows: np.ndarray) -> None:
         world, env = simulator.world, simulator.world.env
@@ -138,6 +141,21 @@ class PlannerMethod:
             self._plans,
             self._lengths,
         )
+
+
+class LearnedPricesMethod(PlannerMethod):
+    """``LearnedPrices``, which sees the whole simulator: the load of the network, and lifetimes if they are shown."""
+
+    planner: LearnedPrices  # type: ignore[assignment]
+
+    def __init__(self, planner: LearnedPrices, *, name: str = "learned_prices") -> None:
+        self.planner, self.name = planner, name
+
+    def _prepare_planner(self, simulator: Simulator) -> None:
+        self.planner.prepare(simulator)
+
+    def _plan(self, simulator: Simulator, rows: np.ndarray) -> None:
+        self.planner.plan_rows(simulator, rows, self._plans, self._lengths)
 
 
 class PolicyMethod:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from torch import nn
 
@@ -105,7 +103,7 @@ class CandidatePlay:
         widest = int(self._sizes.max())
         self._now, self._after = np.zeros(widest, np.float32), np.zeros(widest, np.float32)
 
-    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+    def prepare(self, simulator: Simulator) -> None:
         """See ``Player``."""
         self._to_go = finish_costs(simulator.tables, simulator.world.rules)
         self._references = reference_costs(simulator.tables, self._to_go)

@@ -91,7 +91,7 @@ class Arena:
         """What every request of the task cost ($), float64 [R], NaN if it was not accepted."""
         simulator = Simulator(task.scenario, 1)
         simulator.start(0, task.workload, task.timeline)
-        player.prepare(simulator, [0])
+        player.prepare(simulator)
         costs = np.full(len(task.workload), np.nan)
         player.play(simulator, 0, costs)
         return costs

@@ -7,7 +7,7 @@ evolution found is loaded and evaluated like any other policy.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import Method, PolicyMethod
+from nfv_torchrl.evaluation.methods import LearnedPricesMethod, Method, PolicyMethod
 from nfv_torchrl.evolution.candidate_play import CandidatePlay
 from nfv_torchrl.losses.base import greedy_actor
 from nfv_torchrl.networks import CandidateNetwork, NetworkFactory, Sizes
@@ -28,7 +28,7 @@ from nfv_torchrl.simulator import Simulator
 class Player(Protocol):
     """Plays whole horizons with fixed weights."""
 
-    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+    def prepare(self, simulator: Simulator) -> None:
         """Called once for a simulator, before it plays there."""
 
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
@@ -102,9 +102,9 @@ class PricePolicy(Evolvable):
         """Refusals are its own decisions."""
         return scenario.replace(admission_control=True)
 
-    def method(self, name: str) -> LearnedPrices:
+    def method(self, name: str) -> LearnedPricesMethod:
         """See ``Evolvable``."""
-        return LearnedPrices(self.network.weights(), name=name)
+        return LearnedPricesMethod(LearnedPrices(self.network.weights()), name=name)
 
 
 class CandidatePolicy(Evolvable):

@@ -8,7 +8,6 @@ there. The functions see shares and ratios only, so one set of weights serves ne
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -304,55 +303,41 @@ def play_learned(world, b, weights, seen, scratch, plan, costs):
 
 
 class LearnedPrices:
-    """A method of evaluations and training: plans each request when it arrives, then plays the plan.
+    """Plans for environments of a simulator, or plays their whole horizons. Used by one thread at a time.
 
     Args:
         weights: of the three functions, such as ``PriceNetwork.weights()``.
-        name: what tables and folders call it.
     """
 
-    decides_admission = True
-    mask: str | None = None
-    one_hot = False
+    def __init__(self, weights: PriceWeights) -> None:
+        self.weights = weights
 
-    def __init__(self, weights: PriceWeights, *, name: str = "learned_prices") -> None:
-        self.weights, self.name = weights, name
-
-    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
-        """See ``evaluation.methods.Method``."""
+    def prepare(self, simulator: Simulator) -> None:
+        """Allocate what plans on this simulator need."""
         self._seen = measures(simulator)
         self._scratch = make_price_scratch(simulator.tables)
-        self._rows = np.arange(simulator.batch_size)
-        self._plans = np.zeros((simulator.batch_size, simulator.world.rules.max_steps), np.int64)
-        self._lengths = np.zeros(simulator.batch_size, np.int64)
-        self._plan(simulator, self._rows[:0])
+        self._plan = np.zeros(simulator.world.rules.max_steps, np.int64)
 
-    def act(self, simulator: Simulator) -> np.ndarray:
-        """See ``evaluation.methods.Method``."""
-        env = simulator.world.env
-        steps = env["steps"]
-        fresh = np.flatnonzero((steps == 0) & (env["done"] == 0))
-        if fresh.size:
-            self._plan(simulator, fresh)
-        return np.where(steps < self._lengths, self._plans[self._rows, steps], simulator.num_actions - 1)
+    def plan_rows(self, simulator: Simulator, rows: np.ndarray, plans: np.ndarray, lengths: np.ndarray) -> None:
+        """Plan the requests of the environments ``rows`` int64 [R].
+
+        ``plans`` int64 [B, max_steps] and ``lengths`` int64 [B] receive actions and their number, 0 where a request is
+        infeasible or refused; other rows stay.
+        """
+        while True:
+            done = plan_learned_rows(simulator.world, rows, self.weights, self._seen, self._scratch, plans, lengths)
+            if done == rows.size:
+                return
+            rows = rows[done:]
+            self._scratch = grow_price_scratch(simulator.tables, self._scratch)
 
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
-        """Answer all requests of environment b, compiled; ``prepare`` was called. ``costs`` as in ``play_learned``."""
+        """Answer all requests of environment b, compiled; ``costs`` as in ``play_learned``."""
         while True:
-            outcome = play_learned(simulator.world, b, self.weights, self._seen, self._scratch, self._plans[b], costs)
+            outcome = play_learned(simulator.world, b, self.weights, self._seen, self._scratch, self._plan, costs)
             if outcome == FINISHED:
                 return
             if outcome == NO_ROOM:
                 simulator.make_room_for(b)
             else:
                 self._scratch = grow_price_scratch(simulator.tables, self._scratch)
-
-    def _plan(self, simulator: Simulator, rows: np.ndarray) -> None:
-        while True:
-            done = plan_learned_rows(
-                simulator.world, rows, self.weights, self._seen, self._scratch, self._plans, self._lengths
-            )
-            if done == rows.size:
-                return
-            rows = rows[done:]
-            self._scratch = grow_price_scratch(simulator.tables, self._scratch)

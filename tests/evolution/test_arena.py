@@ -20,7 +20,7 @@ from nfv_torchrl.planners.bound import blind_bound
 from nfv_torchrl.simulator import Simulator
 
 SOURCE = FixedNetwork({"horizon": 120, "mean_lifetime": 100.0, "arrival_rate": 12.0, "colocation": True,
-                       "substrate": {"nodes": 6, "vms_max": 2, "target_rho": 1.5}})  # fmt: skip
+                       "substrate": {"nodes": 6, "vms_max": 2, "target_rho": 3.0}})  # fmt: skip
 
 
 def price_policy(seed: int = 0) -> PricePolicy:

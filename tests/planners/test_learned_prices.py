@@ -11,7 +11,7 @@ import torch
 from toy import DUO, toy_scenario, workload_of
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import PlannerMethod
+from nfv_torchrl.evaluation.methods import LearnedPricesMethod, PlannerMethod
 from nfv_torchrl.evaluation.runner import run_method, scenario_for
 from nfv_torchrl.networks.prices import PriceHead, PriceNetwork
 from nfv_torchrl.planners import MyopicPlanner
@@ -42,6 +42,10 @@ def network(seed: int | None = None, hidden: int = 3) -> PriceNetwork:
         for parameter in made.parameters():
             torch.nn.init.normal_(parameter, std=0.5)
     return made
+
+
+def learned(made: PriceNetwork) -> LearnedPricesMethod:
+    return LearnedPricesMethod(LearnedPrices(made.weights()))
 
 
 def planned(made: PriceNetwork, *, observe_lifetime=False, use=()):
@@ -122,7 +126,7 @@ def test_without_prices_it_is_myopic_optimal(colocation):
     scenario = heavy(colocation=colocation)
     ours, theirs = (
         run_method(scenario, method, [0, 1])
-        for method in (LearnedPrices(network().weights()), PlannerMethod(MyopicPlanner(), name="myopic_optimal"))
+        for method in (learned(network()), PlannerMethod(MyopicPlanner(), name="myopic_optimal"))
     )
     for a, b in zip(ours, theirs, strict=True):
         assert (a.accepted == b.accepted).all() and not a.accepted.all()
@@ -133,14 +137,14 @@ def test_whole_horizons_in_one_call_are_those_of_the_method():
     scenario = heavy(colocation=True)
     refused = 0
     for seed in range(5):
-        method = LearnedPrices(network(seed).weights())
+        method = learned(network(seed))
         (record,) = run_method(scenario, method, [0])
         simulator = Simulator(scenario_for(scenario, method), 1)
         workload = scenario.workload(0)
         simulator.start(0, workload)
-        method.prepare(simulator, [0])
+        method.planner.prepare(simulator)
         costs = np.full(len(workload), -1.0)
-        method.play(simulator, 0, costs)
+        method.planner.play(simulator, 0, costs)
         np.testing.assert_array_equal(costs, record.cost)
         refused += 0 < record.accepted.mean() < 1
     assert refused >= 3  # the weights matter
