@@ -30,6 +30,7 @@ VM_FEATURES = (
     "dear",  # unit cost over the network's mean, less 1
     "load",  # log of the chain's load over the reference load, halved
     "lifetime",  # log of the lifetime over the mean lifetime; 0 where lifetimes are hidden
+    "colocation",  # 1 where functions may share a node
 )
 LINK_FEATURES = (
     "used",
@@ -49,6 +50,7 @@ ADMIT_FEATURES = (
     "links_used",  # used share of all links
     "load",
     "lifetime",
+    "colocation",
 )
 MOST_FEATURES = max(len(VM_FEATURES), len(LINK_FEATURES), len(ADMIT_FEATURES))
 PRICE_UNIT = 4.0
@@ -171,6 +173,7 @@ def _price_vms(world, b, weights, seen, load, lifetime, x, vm_price):
             x[7] = tables.vm_unit_cost[net, node, vm] / seen.mean_cost[net] - 1.0
             x[8] = load
             x[9] = lifetime
+            x[10] = 1.0 if world.rules.colocation else 0.0
             rise = x[0] * max(_value(weights.vm, x), 0.0) * seen.price_unit[net]
             vm_price[node, vm] = tables.vm_unit_cost[net, node, vm] + rise
 
@@ -227,6 +230,7 @@ def _refuses(world, b, weights, seen, load, lifetime, steps, scratch, plan):
     x[5] = e.link_used / tables.link_total[e.net]
     x[6] = load
     x[7] = lifetime
+    x[8] = 1.0 if world.rules.colocation else 0.0
     return _value(weights.admit, x) > 1.0
 
 
