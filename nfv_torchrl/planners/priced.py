@@ -126,10 +126,10 @@ class PricedPlanner(CompiledPlanner):
     """Cheapest embedding at prices that rise with use, and optionally refusal of what is too dear.
 
     Args:
-        price: p, $ per unit that a full resource costs above its unit cost. 100 served well without refusal.
+        price: p, $ per unit that a full resource costs above its unit cost. The default was tuned without refusal.
         steepness: M, how late the price rises.
         admit_threshold: refuse a request whose priced cost ($) exceeds this; None never refuses. ``priced_admit``
-            goes with ``price=400, admit_threshold=4000``.
+            goes with ``price=1600, admit_threshold=16000``.
 
     Raises:
         ScenarioError: price < 0, steepness <= 1 or a negative threshold.
@@ -138,7 +138,7 @@ class PricedPlanner(CompiledPlanner):
     _scratch: Scratch
 
     def __init__(
-        self, *, price: float = 100.0, steepness: float = 3000.0, admit_threshold: float | None = None
+        self, *, price: float = 3200.0, steepness: float = 3000.0, admit_threshold: float | None = None
     ) -> None:
         super().__init__()
         if not (price >= 0 and np.isfinite(price)):
