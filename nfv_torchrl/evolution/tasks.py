@@ -59,6 +59,7 @@ class RandomNetworks:
         rho: [low, high], offered load, log-uniform; VM capacities are scaled to it.
         arrival_rate: values of lambda to choose from.
         colocation: values to go through in turn, such as ``[false, true]``.
+        observe_lifetime: the same, for every round of ``colocation``; None: as the scenario says.
         horizon: values of T to choose from.
 
     Raises:
@@ -75,18 +76,21 @@ class RandomNetworks:
         rho: Sequence[float] = (0.3, 3.0),
         arrival_rate: Sequence[float] = (10.0, 25.0),
         colocation: Sequence[bool] = (False, True),
+        observe_lifetime: Sequence[bool] | None = None,
         horizon: Sequence[int] = (1000,),
     ) -> None:
+        shown = [parse_config(scenario).observe_lifetime] if observe_lifetime is None else observe_lifetime
         for name, ends in (("nodes", nodes), ("mean_degree", mean_degree), ("vms_max", vms_max), ("rho", rho)):
             if len(ends) != 2 or not 0 < ends[0] <= ends[1]:
                 raise ScenarioError(f"tasks.{name}: {list(ends)}; give [low, high] with 0 < low <= high")
-        for name, values in (("arrival_rate", arrival_rate), ("colocation", colocation), ("horizon", horizon)):
+        choices = {"arrival_rate": arrival_rate, "colocation": colocation, "observe_lifetime": shown, "horizon": horizon}
+        for name, values in choices.items():
             if not len(values):
                 raise ScenarioError(f"tasks.{name}: is empty; give at least one value")
-        parse_config(scenario)  # refuses unknown keys now
         self.base = dict(scenario)
         self.nodes, self.mean_degree, self.vms_max, self.rho = nodes, mean_degree, vms_max, rho
-        self.arrival_rate, self.colocation, self.horizon = arrival_rate, colocation, horizon
+        self.arrival_rate, self.horizon = arrival_rate, horizon
+        self.colocation, self.observe_lifetime = colocation, shown
 
     def draw(self, seed: int, generation: int, count: int) -> list[Task]:
         """``count`` tasks, always the same for the same arguments."""
@@ -116,6 +120,7 @@ class RandomNetworks:
             "arrival_rate": float(rng.choice(self.arrival_rate)),
             "horizon": int(rng.choice(self.horizon)),
             "colocation": bool(self.colocation[turn % len(self.colocation)]),
+            "observe_lifetime": bool(self.observe_lifetime[turn // len(self.colocation) % len(self.observe_lifetime)]),
             "substrate": substrate,
         }
         return Scenario.from_config(config)

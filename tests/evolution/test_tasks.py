@@ -28,6 +28,13 @@ def test_random_networks_are_as_asked_and_always_the_same():
     assert source.draw(1, 3, 2)[1].scenario.seed != tasks[7].scenario.seed
 
 
+def test_rules_take_turns():
+    source = RandomNetworks(BASE, nodes=[5, 5], arrival_rate=[3.0], horizon=[50], observe_lifetime=[False, True])
+    turns = [(task.scenario.colocation, task.scenario.observe_lifetime) for task in source.draw(0, 1, 4)]
+    assert turns == [(False, False), (True, False), (False, True), (True, True)]
+    assert not RandomNetworks(BASE).observe_lifetime[0]
+
+
 def test_a_fixed_network_meets_other_requests_in_every_generation():
     source = FixedNetwork(BASE)
     first, second = source.draw(0, 0, 2)
