@@ -46,14 +46,21 @@ def admission(
 
 
 def admission_step_cost(
-    outcome: Mapping[str, np.ndarray], scale: CostScale, *, w_acc: float = 1.0, w_cost: float = 0.2
+    outcome: Mapping[str, np.ndarray],
+    scale: CostScale,
+    *,
+    w_acc: float = 1.0,
+    w_cost: float = 0.2,
+    w_step: float = 0.0,
 ) -> np.ndarray:
-    """``w_acc`` on acceptance, and each step pays its own cost at once: ``- w_cost * phi~ / phi_ref``.
+    """``w_acc`` on acceptance, and each step pays its own cost at once: ``- w_cost * phi~ / phi_ref - w_step``.
 
     The sum over an accepted request is that of ``admission`` on another scale, but the cost is credited to the step
-    that caused it, which is learned from sooner.
+    that caused it, which is learned from sooner. ``w_step``, paid for every step that passes, keeps requests whose
+    traffic costs next to nothing from walking about.
     """
-    return w_acc * outcome["accepted"] - w_cost * outcome["step_cost"] / scale.step
+    steps = w_cost * outcome["step_cost"] / scale.step + w_step * outcome["passed"]
+    return w_acc * outcome["accepted"] - steps
 
 
 def cost_scale(tables: Tables, net: np.ndarray) -> CostScale:

@@ -1,6 +1,7 @@
 """``NFVEnv``: TorchRL's contract, seeds, resets, and going on from a saved state."""
 
 import copy
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -358,6 +359,9 @@ def test_admission_step_cost_reward():
     expected = [-0.2 * 12 / STEP, -0.2 * 41 / STEP, 1 - 0.2 * 2 / STEP]
     assert earned(rewards.admission_step_cost, WALK) == pytest.approx(expected)
     assert earned(rewards.admission_step_cost, FAILS) == pytest.approx([-0.2 * 12 / STEP, 0])
+    dearer = partial(rewards.admission_step_cost, w_step=0.125)
+    assert earned(dearer, WALK) == pytest.approx([value - 0.125 for value in expected])
+    assert earned(dearer, FAILS) == pytest.approx([-0.2 * 12 / STEP - 0.125, 0])  # the step that failed pays nothing
     assert earned(None, WALK) == pytest.approx(expected)
 
 
