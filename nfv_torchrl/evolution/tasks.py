@@ -83,8 +83,9 @@ class RandomNetworks:
         for name, ends in (("nodes", nodes), ("mean_degree", mean_degree), ("vms_max", vms_max), ("rho", rho)):
             if len(ends) != 2 or not 0 < ends[0] <= ends[1]:
                 raise ScenarioError(f"tasks.{name}: {list(ends)}; give [low, high] with 0 < low <= high")
-        choices = {"arrival_rate": arrival_rate, "colocation": colocation, "observe_lifetime": shown, "horizon": horizon}
-        for name, values in choices.items():
+        choices = (("arrival_rate", arrival_rate), ("colocation", colocation), ("observe_lifetime", shown),
+                   ("horizon", horizon))  # fmt: skip
+        for name, values in choices:
             if not len(values):
                 raise ScenarioError(f"tasks.{name}: is empty; give at least one value")
         self.base = dict(scenario)
