@@ -11,7 +11,7 @@ from nfv_torchrl.planners.learned_prices import ADMIT_FEATURES, LINK_FEATURES, V
 
 BEGINNINGS = ("myopic_optimal", "priced_admit")
 RULE_PRICE, RULE_STEEPNESS, RULE_THRESHOLD = 2.0, 3000.0, 4.66
-"""``priced_admit`` with p = 400 $ and refusal above 4000 $, in price units (200 $ in the paper's ranges) and, the
+"""``priced_admit`` with p = 1600 $ and refusal above 16,000 $, in price units (800 $ in the paper's ranges) and, the
 threshold, in price units for the reference load (4.3 Mcycles/s in the paper's catalogue)."""
 
 

@@ -53,8 +53,8 @@ ADMIT_FEATURES = (
     "colocation",
 )
 MOST_FEATURES = max(len(VM_FEATURES), len(LINK_FEATURES), len(ADMIT_FEATURES))
-PRICE_UNIT = 4.0
-"""Prices are learned in multiples of this times the network's mean VM unit cost, about where full VMs should be."""
+PRICE_UNIT = 16.0
+"""Prices are learned in multiples of this times the network's mean VM unit cost, about where nearly full VMs should be."""
 LONGEST = 20.0
 """Lifetimes are seen up to this multiple of their mean, and from one 400th of it."""
 
