@@ -75,7 +75,8 @@ class LearningCurves:
 
     def _worlds(self, study: Study) -> list[World]:
         at = study.budget["nodes_at"]
-        return [study.world(**{**at, "nodes": nodes}) for nodes in study.budget["nodes"]]
+        worlds = [study.world(**{**at, "nodes": nodes}) for nodes in study.budget["nodes"]]
+        return [world for world in worlds if AGENT in study.methods(world)]
 
     def _where(self, study: Study) -> str:
         world = self._worlds(study)[0]
