@@ -54,7 +54,7 @@ ADMIT_FEATURES = (
 )
 MOST_FEATURES = max(len(VM_FEATURES), len(LINK_FEATURES), len(ADMIT_FEATURES))
 PRICE_UNIT = 16.0
-"""Prices are learned in multiples of this times the network's mean VM unit cost, about where nearly full VMs should be."""
+"""Prices are learned in multiples of this times the network's mean VM unit cost, near those of nearly full VMs."""
 LONGEST = 20.0
 """Lifetimes are seen up to this multiple of their mean, and from one 400th of it."""
 
