@@ -13,9 +13,10 @@ import numpy as np
 import torch
 from hydra.utils import instantiate
 from numba import njit
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import MaskedCategorical, ProbabilisticActor, QValueActor
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.observations import ObservationPart, read_observation
@@ -185,6 +186,7 @@ class PolicyMethod:
     ) -> None:
         self.actor, self.name, self.parts, self.one_hot = actor, name, tuple(parts), one_hot
         self.mask, self.decides_admission, self.device = mask, decides_admission, device
+        self._scorer = scorer(actor)
         self._carried: TensorDictBase | None = None
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
@@ -195,6 +197,8 @@ class PolicyMethod:
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """See :class:`Method`."""
+        if self._scorer is not None:
+            return self._highest(simulator, self._scorer)
         seen = read_observation(simulator, self.parts)
         if self.device is not None:
             seen = seen.to(self.device)
@@ -204,6 +208,40 @@ class PolicyMethod:
             answer = self.actor(seen)
         self._carried = answer.get("next", None)
         return answer.get("action").cpu().numpy()
+
+    def _highest(self, simulator: Simulator, scores: TensorDictModule) -> np.ndarray:
+        """The valid action of the highest score; without the actor's own bookkeeping, a step costs half as much."""
+        view = simulator.world.seen
+        mask = torch.from_numpy(view.mask)
+        seen: dict[str, Any] = {"observation": torch.from_numpy(view.flat), "action_mask": mask}
+        for part in self.parts:
+            seen.update(part.read(simulator))
+        inputs = [_take(seen, key) for key in scores.in_keys]
+        if self.device is not None:
+            inputs = [value.to(self.device) for value in inputs]
+        with torch.no_grad():
+            values = scores.module(*inputs).cpu()
+        return values.masked_fill(~mask, -torch.inf).argmax(-1).numpy()
+
+
+def scorer(actor: TensorDictModuleBase) -> TensorDictModule | None:
+    """The module of an actor whose scores decide: its greedy action is the valid one of the highest score.
+
+    None for an actor of another kind, or with a memory.
+    """
+    stochastic = isinstance(actor, ProbabilisticActor) and actor[-1].distribution_class is MaskedCategorical
+    if not (stochastic or isinstance(actor, QValueActor)):
+        return None
+    scores = actor[0]
+    return scores if type(scores) is TensorDictModule and len(scores.out_keys) == 1 else None
+
+
+def _take(seen: Mapping[str, Any], key: str | tuple[str, ...]) -> torch.Tensor:
+    """The value of a key, nested or not."""
+    if isinstance(key, str):
+        return seen[key]
+    nested: TensorDict = seen[key[0]]
+    return nested.get(key[1:])
 
 
 def methods_from_config(config: Mapping[str, Any], scenario: Scenario | Sequence[Scenario]) -> list[Method]:
