@@ -83,6 +83,13 @@ def play_candidates(world, b, to_go, references, weights, sizes, activation, row
     return FINISHED
 
 
+@kernel
+def choose_candidates(world, to_go, references, weights, sizes, activation, row, now, after, actions):
+    """Fill ``actions`` int64 [B] with the valid action of the highest score of each environment."""
+    for b in range(actions.size):
+        actions[b] = _choose(world, b, to_go, references, weights, sizes, activation, row, now, after)
+
+
 class CandidatePlay:
     """A ``CandidateNetwork`` as a compiled player.
 
@@ -114,3 +121,10 @@ class CandidatePlay:
         network = (self._weights, self._sizes, self._activation, self._row, self._now, self._after)
         while play_candidates(simulator.world, b, self._to_go, self._references, *network, costs) == NO_ROOM:
             simulator.make_room_for(b)
+
+    def choose(self, simulator: Simulator) -> np.ndarray:
+        """The valid action of the highest output of each environment, int64 [B]."""
+        network = (self._weights, self._sizes, self._activation, self._row, self._now, self._after)
+        actions = np.empty(simulator.batch_size, np.int64)
+        choose_candidates(simulator.world, self._to_go, self._references, *network, actions)
+        return actions

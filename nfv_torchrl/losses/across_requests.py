@@ -30,9 +30,13 @@ class AcrossRequests(MaskedLoss):
     with e = 1 for a step that ends a request and 0 for the others, :math:`\gamma_t` = 1 for a step that does not, d the
     end of the horizon, and :math:`\bar r_m` the reward rate: what a request of service m earns on average, or any
     request if ``by_service`` is False. A subclass says what :math:`\gamma_t` is at the end of a request
-    (``request_discount``) and how the rate is learned. k is n, or fewer where the horizon, the segment or the collected
-    batch ends sooner; the look ahead goes on from the end of a segment, which is not the end of the horizon. The error
-    :math:`y_t - Q(s_t, a_t)` is minimised. What was explored within the n steps is not corrected for.
+    (``request_discount``) and how the rate is learned. The error :math:`y_t - Q(s_t, a_t)` is minimised.
+
+    k = 1 for a step within a request. For the last step of a request it is n, or fewer where the horizon, the segment
+    or the collected batch ends sooner; the look ahead goes on from the end of a segment, which is not the end of the
+    horizon. So the luck of later requests, which a long sum brings along, is averaged in the values of last steps and
+    does not reach the choice of a path, where small costs decide. What was explored within the n steps is not corrected
+    for.
 
     Taking off the rate leaves the choice of actions alone, since one request after the other ends whatever is done,
     and of the type that arrives; but values stay near 0, where a network learns them soon, instead of near
@@ -45,7 +49,7 @@ class AcrossRequests(MaskedLoss):
     Args:
         network: factory of the Q-network.
         sizes: sizes of observation and actions.
-        n: most rewards to sum; ``collector.steps`` should be larger.
+        n: most rewards to sum after a request; ``collector.steps`` should be larger.
         double: choose the next action by the online network, else by the target network.
         by_service: a rate for each service type.
         loss_function: ``l2``, ``smooth_l1`` or ``l1``.
@@ -109,7 +113,7 @@ class AcrossRequests(MaskedLoss):
         return [*super().in_keys, ("next", "request_done"), ("next", "done"), ("next", "statistics")]
 
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
-        """Transitions of up to n steps, [B, T] flattened."""
+        """Transitions of one step within a request and of up to n from its end on, [B, T] flattened."""
         after, keys = data.get("next"), self.tensor_keys
         self.collected(after)
         reward = after.get(keys.reward).squeeze(-1)
@@ -119,11 +123,12 @@ class AcrossRequests(MaskedLoss):
         discount = torch.where(over, torch.as_tensor(self.request_discount(after), dtype=reward.dtype), 1.0)
         total, steps, ahead = n_step_returns(reward, stop, self.n, discount)
         requests = [n_step_returns(end.to(reward.dtype), stop, self.n, discount)[0] for end in ends.unbind(-1)]
+        steps = torch.where(over, steps, 1)
         out = data.select(*super().in_keys)
         out.set("next", out.get("next")[last_of_sums(steps)])
-        out.set(_after(keys.reward), total.unsqueeze(-1))
-        out.set(_after(keys.discount), ahead.unsqueeze(-1))
-        out.set(_after(keys.requests), torch.stack(requests, -1))
+        out.set(_after(keys.reward), torch.where(over, total, reward).unsqueeze(-1))
+        out.set(_after(keys.discount), torch.where(over, ahead, 1.0).unsqueeze(-1))
+        out.set(_after(keys.requests), torch.stack(requests, -1) * over.unsqueeze(-1))
         return out.reshape(-1)
 
     def ends(self, after: TensorDictBase) -> Tensor:

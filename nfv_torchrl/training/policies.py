@@ -10,10 +10,11 @@ from hydra.utils import instantiate
 from torch import nn
 
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.evaluation.methods import Method, PlannerMethod, PolicyMethod
+from nfv_torchrl.evaluation.methods import Method, PlannerMethod
 from nfv_torchrl.networks import QNetwork, Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.acting import acting_method
 from nfv_torchrl.training.checkpoint import load_file, save_file
 
 FORMAT = 1
@@ -103,9 +104,9 @@ def load_policy(
         return loss.method(name)
     if planner:
         return PlannerMethod(planner.follow(loss.actor), name=name)
-    return PolicyMethod(
+    return acting_method(
         loss.actor,
-        module.observations(),
+        module,
         one_hot=content["one_hot"],
         name=name,
         mask=content["mask"],

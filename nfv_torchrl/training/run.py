@@ -14,13 +14,14 @@ from torch import nn
 
 from nfv_torchrl import __version__
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.evaluation.methods import Method, PolicyMethod
+from nfv_torchrl.evaluation.methods import Method
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.network_figure import draw_utilisation
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.training.acting import acting_method
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import policy_content, q_network, save_policy
@@ -144,7 +145,7 @@ def evaluate_policy(
 ) -> None:
     """Act greedily on held-out workloads, log what came of it, and keep the policy if it is the best so far.
 
-    ``method`` says how the loss's actor acts: by default step by step, as ``PolicyMethod``.
+    ``method`` says how the loss's actor acts: by default step by step, as ``acting_method`` has it.
 
     Best means the highest AAR; among equals the lowest cost per accepted request.
     """
@@ -152,7 +153,7 @@ def evaluate_policy(
     device = next(actor.parameters()).device
     actor.eval()  # noisy networks act by their mean weights
     actor.to("cpu")
-    method = method or PolicyMethod(actor, q_network(loss).observations(), one_hot=config["one_hot"])
+    method = method or acting_method(actor, q_network(loss), one_hot=config["one_hot"])
     records = run_method(scenario, method, list(config["eval"]["seeds"]))
     actor.to(device)
     actor.train()

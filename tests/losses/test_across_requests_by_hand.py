@@ -91,14 +91,14 @@ def test_choice_and_target_keep_to_valid_actions(name):
 
 
 @pytest.mark.parametrize("name", ["centred", "slot_discount"])
-def test_sums_cross_the_ends_of_requests_with_discount_and_rate(name):
+def test_sums_from_the_end_of_a_request_on_cross_those_of_others_with_discount_and_rate(name):
     options = {"gamma": 0.5, "n": 3, "double": False, "by_service": False}
     loss = make(name, **options)
     loss.rate.fill_(0.5)
     # Requests of two steps, of one and of one again; a slot ends with each.
     data = batch([0.0, 1.0, 0.0, 1.0], [0, 1, 1, 1], slots=[0, 1, 1, 1])
     expected = [
-        0.0 + (1.0 - 0.5) + 0.5 * (0.0 - 0.5) + 0.25 * 0.6,
+        0.0 + 0.6,  # within a request: one step
         (1.0 - 0.5) + 0.5 * (0.0 - 0.5) + 0.25 * (1.0 - 0.5) + 0.125 * 0.6,
         (0.0 - 0.5) + 0.5 * (1.0 - 0.5) + 0.25 * 0.6,
         (1.0 - 0.5) + 0.5 * 0.6,
