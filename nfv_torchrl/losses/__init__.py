@@ -1,5 +1,6 @@
 """How it learns: one file a loss. A recipe's yaml names the class by ``_target_``; there is no registry."""
 
+from nfv_torchrl.losses.a2c import A2C
 from nfv_torchrl.losses.across_requests import AcrossRequests
 from nfv_torchrl.losses.base import MaskedLoss, RequestLoss, greedy_actor, has_target
 from nfv_torchrl.losses.centred import CentredDQN
@@ -9,12 +10,18 @@ from nfv_torchrl.losses.discrete_sac import DiscreteSAC
 from nfv_torchrl.losses.dqn import DQN
 from nfv_torchrl.losses.imitation import Imitation
 from nfv_torchrl.losses.n_step import NStepDQN
+from nfv_torchrl.losses.policy_gradient import PolicyGradient
+from nfv_torchrl.losses.ppo import PPO
 from nfv_torchrl.losses.quantile import QuantileDQN
+from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
+from nfv_torchrl.losses.reinforce import Reinforce
 from nfv_torchrl.losses.slot_discount import SlotDiscountDQN
 
 __all__ = [
+    "A2C",
     "CQL",
     "DQN",
+    "PPO",
     "AcrossRequests",
     "CentredDQN",
     "DifferentialDQN",
@@ -22,7 +29,10 @@ __all__ = [
     "Imitation",
     "MaskedLoss",
     "NStepDQN",
+    "PolicyGradient",
     "QuantileDQN",
+    "RecurrentDQN",
+    "Reinforce",
     "RequestLoss",
     "SlotDiscountDQN",
     "greedy_actor",

@@ -3,12 +3,14 @@
 from nfv_torchrl.networks.base import NetworkFactory, QNetwork, Sizes
 from nfv_torchrl.networks.candidate import CandidateNetwork
 from nfv_torchrl.networks.dueling import DuelingNetwork
+from nfv_torchrl.networks.gru import GRUNetwork
 from nfv_torchrl.networks.layers import NoisyLinear
 from nfv_torchrl.networks.mlp import MLPNetwork
 
 __all__ = [
     "CandidateNetwork",
     "DuelingNetwork",
+    "GRUNetwork",
     "MLPNetwork",
     "NetworkFactory",
     "NoisyLinear",
