@@ -25,7 +25,7 @@ def trained(tmp_path_factory):
     """Runs of 192 frames, one for each loss."""
     folder = tmp_path_factory.mktemp("across")
     for loss in LOSSES:
-        train(folder / loss, f"loss={loss}", "loss.n=4", "collector.total_frames=192")
+        train(folder / loss, f"loss={loss}", "collector.total_frames=192")
     return folder
 
 
@@ -35,7 +35,7 @@ def test_it_trains_resumes_to_the_bit_and_loads(loss, trained, tmp_path):
     whole = load_file(CheckpointFolder(folder).files()[-1])
     assert whole["loss"]["rate"].abs().sum() > 0  # it has seen requests end
     CheckpointFolder(folder).files()[-1].unlink()
-    train(folder, f"loss={loss}", "loss.n=4", "collector.total_frames=192", "resume=true")
+    train(folder, f"loss={loss}", "collector.total_frames=192", "resume=true")
     again = load_file(CheckpointFolder(folder).files()[-1])
     for key, value in whole["loss"].items():
         assert torch.equal(value, again["loss"][key]), key
