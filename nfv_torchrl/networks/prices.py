@@ -10,9 +10,9 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.learned_prices import ADMIT_FEATURES, LINK_FEATURES, VM_FEATURES, Head, PriceWeights
 
 BEGINNINGS = ("myopic_optimal", "priced_admit")
-RULE_PRICE, RULE_STEEPNESS, RULE_THRESHOLD = 2.0, 3000.0, 4.66
-"""``priced_admit`` with p = 1600 $ and refusal above 16,000 $, in price units (800 $ in the paper's ranges) and, the
-threshold, in price units for the reference load (4.3 Mcycles/s in the paper's catalogue)."""
+RULE_PRICE, RULE_STEEPNESS, RULE_THRESHOLD = 32.0, 3000.0, 75.0
+"""``priced_admit`` with p = 1600 $ and refusal above 16,000 $: in multiples of the mean unit cost of VMs (50 $ in the
+paper's ranges) and, the threshold, of that for the reference load (4.3 Mcycles/s in the paper's catalogue)."""
 
 
 class PriceHead(nn.Module):
@@ -46,19 +46,24 @@ class PriceNetwork(nn.Module):
     Args:
         hidden: neurons of the hidden layer of each of the three functions.
         begin: ``myopic_optimal`` (all zero), or ``priced_admit``: near the hand-tuned rule of that name.
+        price_unit: prices and priced costs are in this many mean unit costs of the network's VMs, so it says how large
+            the steps of a search are.
 
     Raises:
-        ScenarioError: ``hidden`` is negative, or there is no such ``begin``.
+        ScenarioError: ``hidden`` is negative, ``price_unit`` not positive, or there is no such ``begin``.
     """
 
     any_size = True
 
-    def __init__(self, *, hidden: int = 0, begin: str = "myopic_optimal") -> None:
+    def __init__(self, *, hidden: int = 0, begin: str = "myopic_optimal", price_unit: float = 4.0) -> None:
         super().__init__()
         if hidden < 0:
             raise ScenarioError(f"network.hidden: {hidden}; use 0 (linear functions) or more")
+        if not price_unit > 0:
+            raise ScenarioError(f"network.price_unit: {price_unit}; use a positive number")
         if begin not in BEGINNINGS:
             raise ScenarioError(f"network.begin: {begin!r}; use one of {', '.join(BEGINNINGS)}")
+        self.price_unit = float(price_unit)
         self.vm = PriceHead(len(VM_FEATURES), hidden)
         self.link = PriceHead(len(LINK_FEATURES), hidden)
         self.admit = PriceHead(len(ADMIT_FEATURES), hidden)
@@ -67,16 +72,16 @@ class PriceNetwork(nn.Module):
 
     @torch.no_grad()
     def _begin_at_rule(self) -> None:
-        """Prices p (M^u - 1) / (M - 1), refusal above a priced cost, as ``priced_admit``; units are relative here."""
+        """Prices p (M^u - 1) / (M - 1), refusal above a priced cost, as ``priced_admit`` has them."""
         used = np.linspace(0.01, 1.0, 100)
-        price = RULE_PRICE * (RULE_STEEPNESS**used - 1.0) / (RULE_STEEPNESS - 1.0)
+        price = RULE_PRICE / self.price_unit * (RULE_STEEPNESS**used - 1.0) / (RULE_STEEPNESS - 1.0)
         powers = np.stack([used, used**4, used**16, np.ones_like(used)], axis=1)
         # A price is used share times f, so f is fitted to price / used, weighted by used.
         fitted = np.linalg.lstsq(powers * used[:, None], price, rcond=None)[0]
         for head in (self.vm, self.link):
             head.linear[:3] = torch.from_numpy(fitted[:3])
             head.linear[-1] = float(fitted[3])
-        self.admit.linear[ADMIT_FEATURES.index("priced")] = 3.0 / float(np.log(RULE_THRESHOLD))
+        self.admit.linear[ADMIT_FEATURES.index("priced")] = 3.0 / float(np.log(RULE_THRESHOLD / self.price_unit))
 
     def weights(self) -> PriceWeights:
         """The weights as the compiled search takes them."""
@@ -85,4 +90,4 @@ class PriceNetwork(nn.Module):
             parts = (module.linear, module.hidden, module.out)
             return Head(*(np.ascontiguousarray(part.detach().cpu().numpy(), np.float64) for part in parts))
 
-        return PriceWeights(head(self.vm), head(self.link), head(self.admit))
+        return PriceWeights(head(self.vm), head(self.link), head(self.admit), self.price_unit)

@@ -53,8 +53,6 @@ ADMIT_FEATURES = (
     "colocation",
 )
 MOST_FEATURES = max(len(VM_FEATURES), len(LINK_FEATURES), len(ADMIT_FEATURES))
-PRICE_UNIT = 16.0
-"""Prices are learned in multiples of this times the network's mean VM unit cost, near those of nearly full VMs."""
 LONGEST = 20.0
 """Lifetimes are seen up to this multiple of their mean, and from one 400th of it."""
 
@@ -71,12 +69,14 @@ class PriceWeights(NamedTuple):
     """The three functions.
 
     A VM or link costs max(0, f) price units times its used share above its unit cost: an empty one costs what it costs.
-    A request with f > 1 is refused: weights near zero refuse hardly anything.
+    A price unit is ``unit`` times the mean unit cost of the network's VMs. A request with f > 1 is refused: weights
+    near zero refuse hardly anything.
     """
 
     vm: Head
     link: Head
     admit: Head
+    unit: float
 
 
 class Seen(NamedTuple):
@@ -84,7 +84,6 @@ class Seen(NamedTuple):
 
     reference_load: float  # r, Mcycles/s: mean over services of the load of their chain
     reference_units: float  # the same in ledger units
-    price_unit: np.ndarray  # float64 [S], $ per Mcycles/s or Mbit/s
     mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s: mean unit cost of VMs
     chain_load: np.ndarray  # float64 [K], Mcycles/s
     largest_units: np.ndarray  # int64 [K], ledger units of the largest function
@@ -109,7 +108,6 @@ def measures(simulator: Simulator) -> Seen:
     return Seen(
         reference_load=float(chain.mean()),
         reference_units=float(tables.load_units.sum(axis=1).mean()),
-        price_unit=PRICE_UNIT * mean_cost,
         mean_cost=mean_cost,
         chain_load=chain,
         largest_units=tables.load_units.max(axis=1),
@@ -174,7 +172,7 @@ def _price_vms(world, b, weights, seen, load, lifetime, x, vm_price):
             x[8] = load
             x[9] = lifetime
             x[10] = 1.0 if world.rules.colocation else 0.0
-            rise = x[0] * max(_value(weights.vm, x), 0.0) * seen.price_unit[net]
+            rise = x[0] * max(_value(weights.vm, x), 0.0) * weights.unit * seen.mean_cost[net]
             vm_price[node, vm] = tables.vm_unit_cost[net, node, vm] + rise
 
 
@@ -193,7 +191,7 @@ def _price_links(world, b, weights, seen, load, lifetime, x, link_price):
         x[4] = network_used
         x[5] = load
         x[6] = lifetime
-        rise = x[0] * max(_value(weights.link, x), 0.0) * seen.price_unit[net]
+        rise = x[0] * max(_value(weights.link, x), 0.0) * weights.unit * seen.mean_cost[net]
         link_price[link] = tables.link_unit_cost[net, link] + rise
 
 
@@ -220,7 +218,7 @@ def _refuses(world, b, weights, seen, load, lifetime, steps, scratch, plan):
     """Whether the walk just found is not worth having."""
     tables, e = world.tables, world.env[b]
     x, result = scratch.x, scratch.search.result
-    unit = seen.price_unit[e.net] * seen.reference_load
+    unit = weights.unit * seen.mean_cost[e.net] * seen.reference_load
     used = e.vm_used / tables.vm_total[e.net]
     x[0] = np.log(result[0] / unit + 1e-9) / 3.0
     x[1] = np.log(result[1] / unit + 1e-9) / 3.0

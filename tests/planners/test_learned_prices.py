@@ -72,9 +72,9 @@ def test_price_of_a_vm_by_hand():
     made.vm.hidden[0] = 0.0
     made.vm.hidden[0, VM_FEATURES.index("network_used")] = 1.0
     _, search = planned(made, use=[(0, 0, 30_000_000)])
-    # VM 0.0: 30 of 40 Mcycles/s used; of the network 30 of 330. Mean unit cost (3 + 1 + 5 + 2 + 1 + 4) / 6, times 16.
+    # VM 0.0: 30 of 40 Mcycles/s used; of the network 30 of 330. Mean unit cost (3 + 1 + 5 + 2 + 1 + 4) / 6, times 4.
     value = 0.5 * 0.75 - 0.1 + 0.2 * math.tanh(30 / 330)
-    assert search.vm_price[0, 0] == pytest.approx(3.0 + 0.75 * value * 16 * 16 / 6)
+    assert search.vm_price[0, 0] == pytest.approx(3.0 + 0.75 * value * 4 * 16 / 6)
     assert search.vm_price[1].tolist() == [1.0, 5.0]  # unused: what they cost
     assert search.link_price.tolist() == [2.0, 1.0, 1.0, 4.0, 2.0]
 
@@ -96,7 +96,7 @@ def test_features_of_a_vm_by_hand(feature, value):
     made = network(hidden=0)
     made.vm.linear[VM_FEATURES.index(feature)] = 1.0
     _, search = planned(made, use=[(0, 0, 30_000_000)])
-    assert search.vm_price[0, 0] == pytest.approx(3.0 + 0.75 * value * 16 * 16 / 6)
+    assert search.vm_price[0, 0] == pytest.approx(3.0 + 0.75 * value * 4 * 16 / 6)
 
 
 @torch.no_grad()
@@ -105,7 +105,7 @@ def test_a_request_above_the_threshold_is_refused():
     assert steps > 0
     cost = search.result[0]
     # priced cost over that of the reference load at the price unit
-    value = math.log(cost / (16 * 16 / 6 * 25)) / 3
+    value = math.log(cost / (4 * 16 / 6 * 25)) / 3
     for bias, refused in ((1.0 - value - 1e-6, False), (1.0 - value + 1e-6, True)):
         made = network()
         made.admit.linear[ADMIT_FEATURES.index("priced")] = 1.0
@@ -168,21 +168,21 @@ def test_the_compiled_functions_are_the_networks():
     x[0, 5] = 0.5 * math.log(30 / 25)
     scratch = make_price_scratch(simulator.tables)
     plan_learned(simulator.world, 0, made.weights(), measures(simulator), scratch, np.zeros(100, np.int64))
-    expected = 2.0 + 0.5 * max(head(x).item(), 0.0) * 16 * 16 / 6
+    expected = 2.0 + 0.5 * max(head(x).item(), 0.0) * 4 * 16 / 6
     assert head(x).item() > 0
     assert scratch.search.link_price[4] == pytest.approx(expected, rel=1e-6)
 
 
 @torch.no_grad()
 def test_it_may_begin_near_the_hand_tuned_rule():
-    made = PriceNetwork(begin="priced_admit")
+    made = PriceNetwork(begin="priced_admit", price_unit=16.0)
     used = torch.linspace(0, 1, 101)
     x = torch.zeros(101, len(VM_FEATURES))
     x[:, 0], x[:, 1], x[:, 2] = used, used**4, used**16
     price = used * made.vm(x).clamp(min=0)
     rule = 2.0 * (3000.0**used - 1) / 2999
     assert (price - rule).abs().max() < 0.1  # of prices up to 2
-    # Refusal above 16,000 $, which are 4.66 price units of 800 $ for the reference load of 4.3 Mcycles/s.
+    # Refusal above 75 mean unit costs, 4.69 price units, for the reference load.
     judged = torch.zeros(2, len(ADMIT_FEATURES))
     judged[:, 0] = torch.tensor([4.6, 4.7]).log() / 3
     assert (made.admit(judged) > 1).tolist() == [False, True]
@@ -191,5 +191,7 @@ def test_it_may_begin_near_the_hand_tuned_rule():
 def test_bad_settings_are_named():
     with pytest.raises(ScenarioError, match=r"network\.begin: 'zero'"):
         PriceNetwork(begin="zero")
+    with pytest.raises(ScenarioError, match=r"network\.price_unit: 0"):
+        PriceNetwork(price_unit=0)
     with pytest.raises(ScenarioError, match=r"network\.hidden"):
         PriceNetwork(hidden=-1)
