@@ -163,7 +163,7 @@ class Study:
         trained = f", training frames: {trained}" if trained else ""
         limits = ["with colocation off"] if self.budget["trained_colocation"] == [False] else []
         limits += ["not at every point"] if any(self.budget["trained_points"].values()) else []
-        trained += f" ({', '.join(limits)})" if limits else ""
+        trained += f" ({', '.join(limits)})" if limits and trained else ""
         if self._mask is not None:
             trained += f", {show(AGENT)} under the {self._mask} mask"
         return (

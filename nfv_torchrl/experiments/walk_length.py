@@ -17,7 +17,7 @@ PANELS = {
     "paper_reward": "what the paper's reward pays\nan accepted request, undiscounted",
     "aar": "AAR",
 }
-REFERENCES = ("greedy", "myopic_optimal")
+REFERENCES = ("random_feasible", "greedy", "myopic_optimal")
 
 
 class RewardAndWalkLength:

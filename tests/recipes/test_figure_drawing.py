@@ -123,3 +123,13 @@ def test_agents_only_at_some_points(tmp_path: Path):
     assert {row["x"] for row in shown.rows if row["series"] == "tabu"} == {10, 20, 50}
     assert "not at every point" in words(shown.figure)
     assert len([cell for cell in FIGURES["aar_vs_nodes"].cells(made) if cell.kind == "evaluation"]) == 3 * 5 * 2 + 4
+
+
+def test_without_agents_the_title_says_nothing_of_training(tmp_path: Path):
+    """Planners alone: `trained_colocation=[]`; the bars of the walk's length then compare rules."""
+    overrides = ["budget=afternoon", "budget.trained_colocation=[]", "method=[random_feasible,greedy,myopic_optimal]"]
+    made, store = study(*overrides), CellStore(tmp_path, ROOT / "recipes")
+    fill("reward_and_walk_length", made, store)
+    shown = FIGURES["reward_and_walk_length"].draw(made, store)
+    assert [row["series"] for row in shown.rows[:3]] == ["random_feasible", "greedy", "myopic_optimal"]
+    assert "afternoon budget: 3 workload seeds, scenario seed 0; T = 1000 s" in words(shown.figure)
