@@ -42,6 +42,7 @@ def run_method(
     progress: Progress | None = None,
     workloads: Sequence[Workload] | None = None,
     threads: int = 1,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> list[RunRecord]:
     """Run ``method`` on one workload per seed, each from an empty network to the end of its horizon.
 
@@ -55,10 +56,12 @@ def run_method(
         progress: called now and then with the number of requests answered since.
         workloads: S workloads instead of those of the seeds.
         threads: threads of the simulator.
+        clock: seconds, read around every decision: wall time, or ``time.process_time`` where other work on the machine
+            shall not count.
 
     Returns:
-        S records in the order of ``seeds``. Their ``seconds`` are wall time within ``method.act`` alone: that of the
-        whole batch, shared out by number of requests.
+        S records in the order of ``seeds``. Their ``seconds`` are those within ``method.act`` alone: of the whole
+        batch, shared out by number of requests.
 
     Raises:
         ScenarioError: no seeds, a number of scenarios or workloads other than S, scenarios that do not go together.
@@ -76,7 +79,7 @@ def run_method(
         here = scenarios if len(scenarios) == 1 else scenarios[group]
         simulator = Simulator(here, len(seeds[group]), one_hot=method.one_hot, record=True, threads=threads)
         given = None if workloads is None else workloads[group]
-        records += _run_together(simulator, method, [int(seed) for seed in seeds[group]], given, progress)
+        records += _run_together(simulator, method, [int(seed) for seed in seeds[group]], given, progress, clock)
     return records
 
 
@@ -86,6 +89,7 @@ def _run_together(
     seeds: Sequence[int],
     workloads: Sequence[Workload] | None,
     progress: Progress | None,
+    clock: Callable[[], float],
 ) -> list[RunRecord]:
     if workloads is None:
         workloads = [simulator.scenario(b).workload(seed) for b, seed in enumerate(seeds)]
@@ -93,7 +97,7 @@ def _run_together(
     for b, (workload, timeline) in enumerate(zip(workloads, timelines, strict=True)):
         simulator.start(b, workload, timeline)
     method.prepare(simulator, seeds)
-    seconds = _play(simulator, method, progress)
+    seconds = _play(simulator, method, progress, clock)
     requests = sum(len(workload) for workload in workloads)
     return [
         _record(simulator, b, method.name, seed, workload, timeline, seconds * len(workload) / max(requests, 1))
@@ -101,14 +105,14 @@ def _run_together(
     ]
 
 
-def _play(simulator: Simulator, method: Method, progress: Progress | None) -> float:
+def _play(simulator: Simulator, method: Method, progress: Progress | None, clock: Callable[[], float]) -> float:
     """Step all environments to the end of their horizons. Returns the seconds spent deciding."""
     env = simulator.world.env
     seconds, steps, answered = 0.0, 0, 0
     while not env["done"].all():
-        begun = time.perf_counter()
+        begun = clock()
         actions = method.act(simulator)
-        seconds += time.perf_counter() - begun
+        seconds += clock() - begun
         if actions.shape != (simulator.batch_size,):
             raise ScenarioError(f"{method.name}: act returned shape {actions.shape}, not ({simulator.batch_size},)")
         simulator.step(np.ascontiguousarray(actions, np.int64))

@@ -78,11 +78,11 @@ class DecisionTime:
         worlds = self._worlds(study)
         figure = panel_figure(
             rows,
-            title="Decision time over N, one network at a time, one thread, colocation off; "
+            title="Processor time of a decision over N, one network at a time, one thread, colocation off; "
             f"λ = {worlds[0]['arrival_rate']:g}/s\n"
             f"{study.about()}; timed on {options['seeds']} horizons of {options['horizon']} slots",
             x_label="nodes N",
-            y_label="ms a request",
+            y_label="ms of processor time a request",
             ticks={(n := world["substrate"]["nodes"]): f"{n}\nρ {study.rho(world):.2f}" for world in worlds},
             log="xy",
             like={text: show(name) for name, (text, _) in FORMULAS.items()},

@@ -181,13 +181,14 @@ class Study:
         trained_on: World | None = None,
     ) -> Cell:
         alone = kind == "timing"
+        more = {"clock": "processor"} if alone else {}
         label = _label(name if kind == "evaluation" else f"{kind}_{name}", world)
         if name in self.planners:
-            spec = {"scenario": world, "seeds": list(seeds), "method": self.planners[name], "training": None}
+            spec = {"scenario": world, "seeds": list(seeds), "method": self.planners[name], "training": None, **more}
             return make_cell(kind, label, spec, alone=alone)
         run = self.training(name, trained_on or world, reward)
         method = {**self.trained[name]["method"], "name": name}
-        spec = {"scenario": world, "seeds": list(seeds), "method": method, "training": run.spec}
+        spec = {"scenario": world, "seeds": list(seeds), "method": method, "training": run.spec, **more}
         return make_cell(kind, label, spec, [run], alone=alone)
 
 

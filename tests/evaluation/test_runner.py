@@ -176,6 +176,20 @@ def test_a_policy_sees_what_the_environment_shows():
         assert record.seconds > 0 and np.isfinite(record.decisions_per_second)
 
 
+def test_decisions_are_timed_by_the_clock_that_is_given():
+    """A clock that ticks once a reading: one second a decision, whatever it took; shared out by requests."""
+    ticks = iter(range(10**6))
+    decisions = []
+
+    class Counting(RandomMethod):
+        def act(self, simulator):
+            decisions.append(1)
+            return super().act(simulator)
+
+    records = run_method(small_scenario(horizon=4), Counting(), [0, 1], clock=lambda: float(next(ticks)))
+    assert sum(record.seconds for record in records) == pytest.approx(len(decisions))
+
+
 def test_a_recurrent_state_is_carried_and_dropped_at_the_start():
     actor = Counter()
     method = PolicyMethod(actor)
