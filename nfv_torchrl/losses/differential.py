@@ -39,7 +39,7 @@ class DifferentialDQN(AcrossRequests):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        rate_step: float = 0.003,
+        rate_step: float = 0.05,
         n: int = 1,
         double: bool = True,
         loss_function: str = "l2",
