@@ -14,6 +14,8 @@ from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.losses.policy_gradient import masked_actor
+from nfv_torchrl.networks.mlp import MLPNetwork
 from nfv_torchrl.nfvdeep import NFVdeepEnv, NFVdeepPlanner
 from nfv_torchrl.nfvdeep.reward import Profit
 from nfv_torchrl.scenario.scenario import paper_scenario
@@ -91,3 +93,18 @@ def test_observation_by_hand():
     numbers = [0.5, 0.5, 1, 1] if request["service"] == DUO else [1, 1, 1, 0.5]
     np.testing.assert_allclose(seen[8:12], numbers, rtol=1e-6)
     assert seen[12:16].argmax() == request["ingress"] and seen[16:].argmax() == request["egress"]
+
+
+def test_the_highest_score_is_what_the_actor_takes(monkeypatch):
+    """Asking the network at once, or the actor with its distribution: the same plans."""
+    scenario, planner = busy(), NFVdeepPlanner(backtracks=3)
+    sizes = planner.sizes(Simulator(scenario, 1))
+    torch.manual_seed(0)
+    actor = masked_actor(MLPNetwork(sizes, hidden=[16]), sizes.actions)
+    fast = run_method(scenario, PlannerMethod(planner.follow(actor), name="nfvdeep"), [0, 1])
+    monkeypatch.setattr("nfv_torchrl.nfvdeep.planner.scorer", lambda actor: None)
+    slow = run_method(scenario, PlannerMethod(planner, name="nfvdeep"), [0, 1])
+    for one, other in zip(fast, slow, strict=True):
+        assert one.accepted.any()
+        np.testing.assert_array_equal(one.step_node, other.step_node)
+        np.testing.assert_array_equal(one.step_vm, other.step_vm)

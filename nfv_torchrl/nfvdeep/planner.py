@@ -9,6 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.evaluation.methods import scorer
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.nfvdeep.drafts import COMPLETE, OPEN, Drafts, Options, begin_rows, choose_rows, make_drafts
 from nfv_torchrl.simulator import Simulator
@@ -136,6 +137,12 @@ class NFVdeepPlanner:
         """The policy's choice for each of ``rows``."""
         if self.actor is None:
             raise ScenarioError("an NFVdeepPlanner has no policy yet; give it one by follow(actor)")
-        seen = {"observation": torch.from_numpy(drafts.flat[rows]), "action_mask": torch.from_numpy(drafts.mask[rows])}
+        device = next((weights.device for weights in self.actor.parameters()), torch.device("cpu"))
+        flat, mask = torch.from_numpy(drafts.flat[rows]).to(device), torch.from_numpy(drafts.mask[rows]).to(device)
+        scores = scorer(self.actor)
+        if scores is not None and scores.in_keys == ["observation"]:  # the same choice without the bookkeeping
+            with torch.no_grad():
+                return scores.module(flat).masked_fill(~mask, -torch.inf).argmax(-1).cpu().numpy()
+        seen = {"observation": flat, "action_mask": mask}
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             return self.actor(TensorDict(seen, batch_size=[rows.size]))["action"].cpu().numpy()
