@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from nfv_torchrl.evaluation.figures import STYLE, Row, csv_text, draw_series, save_figure
 from nfv_torchrl.experiments.cells import Cell, CellStore
@@ -100,6 +101,9 @@ def panel_figure(
                 draw_series(axes, mine, name, PLACES.get(like.get(name, name), place), styles.get(name, "-"))
         axes.set_xlabel(x_label)
         axes.set(**{f"{axis}scale": "log" for axis in log})
+        if "y" in log:  # less than a decade would show a single number
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter("{x:g}")
         if ticks is not None:
             axes.set_xticks(list(ticks), list(ticks.values()))
             axes.minorticks_off()
