@@ -46,8 +46,8 @@ class Cell:
 def make_cell(
     kind: str, label: str, spec: Mapping[str, Any], needs: Iterable[Cell] = (), *, alone: bool = False
 ) -> Cell:
-    """A cell of the plain values in ``spec``."""
-    return Cell(kind, label, json.dumps(spec, sort_keys=True, allow_nan=False), tuple(needs), alone)
+    """A cell of the plain values in ``spec``; its mappings keep their order, since that of the services is a draw's."""
+    return Cell(kind, label, json.dumps(spec, allow_nan=False), tuple(needs), alone)
 
 
 def with_needs(cells: Iterable[Cell]) -> list[Cell]:

@@ -191,7 +191,11 @@ def test_findings_of_the_audit_fail_the_cell(tmp_path, monkeypatch):
 
 def test_cells_are_known_by_their_content():
     first = make_cell("evaluation", "a", {"x": 1, "y": [2]})
-    assert first.key == make_cell("evaluation", "a", {"y": [2], "x": 1}).key
+    assert first.key == make_cell("evaluation", "a", {"x": 1, "y": [2]}).key
+    # The order of services decides which endpoints and requests are drawn, so it is part of what a cell is.
+    services = [{"services": {"web": 1, "voip": 2}}, {"services": {"voip": 2, "web": 1}}]
+    there, back = (make_cell("evaluation", "a", spec) for spec in services)
+    assert there.key != back.key and list(there.spec["services"]) == ["web", "voip"]
     assert len({first.key, make_cell("bound", "a", first.spec).key, make_cell("evaluation", "a", {"x": 2}).key}) == 3
     second = make_cell("evaluation", "b", {"x": 3}, needs=[first])
     assert with_needs([second, first, second]) == [first, second]
