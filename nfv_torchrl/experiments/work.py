@@ -119,8 +119,9 @@ class _Counted:
 
 def _scenarios(spec: Mapping[str, Any]) -> list[Scenario]:
     """The scenario of all seeds, or one for each of ``scenario_seeds``."""
-    draws = spec.get("scenario_seeds") or [spec["scenario"]["seed"]]
-    return [Scenario.from_config({**spec["scenario"], "seed": seed}) for seed in draws]
+    if not spec.get("scenario_seeds"):
+        return [Scenario.from_config(spec["scenario"])]
+    return [Scenario.from_config({**spec["scenario"], "seed": seed}) for seed in spec["scenario_seeds"]]
 
 
 def _method(cell: Cell, store: CellStore, scenario: Scenario | Sequence[Scenario]) -> Method:

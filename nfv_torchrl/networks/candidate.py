@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch
 from torch import Tensor
 
 from nfv_torchrl.networks.base import QNetwork, Sizes
@@ -49,6 +50,8 @@ class CandidateNetwork(QNetwork):
 
     def forward(self, features: Tensor, action: Tensor, row_mask: Tensor, action_mask: Tensor) -> Tensor:
         """Values of all actions."""
+        if torch._C._functorch.is_batchedtensor(row_mask):  # vmap allows no shapes that depend on data
+            return self._values_of_all_rows(features, action, row_mask, action_mask)
         actions = action_mask.shape[-1]
         # Most rows are padding: leaving them out makes an update about four times as fast.
         used = row_mask.flatten().nonzero().squeeze(-1)
@@ -56,6 +59,14 @@ class CandidateNetwork(QNetwork):
         values = features.new_zeros(action_mask.numel(), self.outputs)
         values = values.index_copy(0, state * actions + action.flatten()[used], self._scores(features, used))
         values = values.view(*action_mask.shape, self.outputs)
+        return values.squeeze(-1) if self.outputs == 1 else values
+
+    def _values_of_all_rows(self, features: Tensor, action: Tensor, row_mask: Tensor, action_mask: Tensor) -> Tensor:
+        """The same values, padding included in the work: rows not in use write to a column that is cut off again."""
+        scores, actions = self.layers(features), action_mask.shape[-1]
+        place = action.masked_fill(~row_mask, actions).unsqueeze(-1).expand_as(scores)
+        values = scores.new_zeros(*action_mask.shape[:-1], actions + 1, self.outputs)
+        values = values.scatter(-2, place, scores)[..., :actions, :]
         return values.squeeze(-1) if self.outputs == 1 else values
 
     def _scores(self, features: Tensor, used: Tensor) -> Tensor:

@@ -68,3 +68,15 @@ def test_each_row_has_noise_of_its_own_and_shares_it_within():
     assert not torch.equal(layer(torch.ones(3)), layer(torch.ones(3)))
     sum(layer(torch.ones(4, 3))).sum().backward()
     assert layer.weight_sigma.grad.abs().sum() > 0 and layer.bias_sigma.grad.abs().sum() > 0
+
+
+def test_candidate_values_are_the_same_under_vmap():
+    """TorchRL's value estimators map over states, where rows in use cannot be picked out."""
+    torch.manual_seed(0)
+    network = CandidateNetwork(Sizes(0, 6, 2, 3), hidden=[4])
+    features, action = torch.randn(5, 4, 3), torch.tensor([3, 1, 0, 2]).expand(5, 4)
+    used = torch.arange(4) < torch.tensor([[4], [1], [2], [3], [3]])
+    mask = torch.ones(5, 6, dtype=torch.bool)
+    values = network(features, action, used, mask)
+    assert torch.allclose(torch.vmap(network)(features, action, used, mask), values)
+    assert (values != 0).sum() == 13

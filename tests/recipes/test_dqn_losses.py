@@ -70,7 +70,7 @@ def test_noise_is_off_in_an_evaluation_and_back_after_it(tmp_path):
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=True))
     loss = DQN(partial(MLPNetwork, hidden=[8], noisy=True), sizes)
     modes = []
-    loss.actor.register_forward_hook(lambda module, *_: modes.append(module[0].module.layers.training))
+    loss.actor[0].module.register_forward_hook(lambda module, *_: modes.append(module.layers.training))
     logged = []
     logger = SimpleNamespace(scalars=lambda values, frames: logged.append(values))
     config = {
