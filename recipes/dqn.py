@@ -122,6 +122,7 @@ def main(cfg: DictConfig) -> None:
         policy_device=device,
         env_device="cpu",
         storing_device="cpu",
+        auto_register_policy_transforms=False,
     )
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
@@ -168,7 +169,7 @@ def main(cfg: DictConfig) -> None:
             bar.update(progress.frames - bar.n)
 
     bar.close()
-    if cfg.eval.interval and not stop.asked:
+    if cfg.eval.interval and not stop.asked and progress.iteration % cfg.eval.interval:
         evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
     folder.save(state, progress.frames)
     logger.close()

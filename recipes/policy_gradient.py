@@ -131,7 +131,7 @@ def main(cfg: DictConfig) -> None:
             bar.update(progress.frames - bar.n)
 
     bar.close()
-    if cfg.eval.interval and not stop.asked:
+    if cfg.eval.interval and not stop.asked and progress.iteration % cfg.eval.interval:
         evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
     folder.save(state, progress.frames)
     logger.close()

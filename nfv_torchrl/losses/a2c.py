@@ -16,7 +16,7 @@ class A2C(PolicyGradient):
     .. math:: L = -\log \pi(a | s) \, A(s, a) + c_V \big(V(s) - \hat V(s)\big)^2 - c_H H[\pi(\cdot | s)]
 
     with the entropy :math:`H` over valid actions only (Mnih et al., "Asynchronous Methods for Deep Reinforcement
-    Learning", ICML 2016). Learns from each batch once.
+    Learning", ICML 2016). Learns from each row once, as REINFORCE here does.
 
     Args and keys: see ``PolicyGradient`` (the objective is made here), and
         entropy_coeff: c_H.

@@ -17,7 +17,8 @@ class Reinforce(PolicyGradient):
 
     with :math:`G` the return from the step to the end of the request (Williams, "Simple Statistical Gradient-Following
     Algorithms for Connectionist Reinforcement Learning", Machine Learning 8, 1992). A smaller ``lmbda`` trades the
-    return's variance for the critic's bias. Learns from each batch once: the policy must be the one that acted.
+    return's variance for the critic's bias. Learns from each row once, a batch in parts: for the last
+    of them the policy is some steps younger than the one that acted.
 
     Args and keys: see ``PolicyGradient`` (the objective is made here); ``lmbda`` is 1 by default.
 
