@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -9,10 +11,19 @@ from torch import Tensor, nn
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.learned_prices import ADMIT_FEATURES, LINK_FEATURES, VM_FEATURES, Head, PriceWeights
 
-BEGINNINGS = ("myopic_optimal", "priced_admit")
-RULE_PRICE, RULE_STEEPNESS, RULE_THRESHOLD = 32.0, 3000.0, 75.0
-"""``priced_admit`` with p = 1600 $ and refusal above 16,000 $: in multiples of the mean unit cost of VMs (50 $ in the
-paper's ranges) and, the threshold, of that for the reference load (4.3 Mcycles/s in the paper's catalogue)."""
+
+class Rule(NamedTuple):
+    """A hand-tuned rule, in multiples of the mean unit cost of VMs (50 $ in the paper's ranges)."""
+
+    price: float  # p
+    threshold: float | None  # priced cost of the reference load (4.3 Mcycles/s in the paper's catalogue) to refuse above
+
+
+STEEPNESS = 3000.0
+RULES = {"priced": Rule(64.0, None), "priced_admit": Rule(32.0, 75.0)}
+"""p = 3200 $ without refusal; p = 1600 $ and refusal above 16,000 $."""
+
+BEGINNINGS = ("myopic_optimal", *RULES)
 
 
 class PriceHead(nn.Module):
@@ -45,7 +56,7 @@ class PriceNetwork(nn.Module):
 
     Args:
         hidden: neurons of the hidden layer of each of the three functions.
-        begin: ``myopic_optimal`` (all zero), or ``priced_admit``: near the hand-tuned rule of that name.
+        begin: ``myopic_optimal`` (all zero), ``priced`` or ``priced_admit``: near the hand-tuned rule of that name.
         price_unit: prices and priced costs are in this many mean unit costs of the network's VMs, so it says how large
             the steps of a search are.
 
@@ -67,21 +78,22 @@ class PriceNetwork(nn.Module):
         self.vm = PriceHead(len(VM_FEATURES), hidden)
         self.link = PriceHead(len(LINK_FEATURES), hidden)
         self.admit = PriceHead(len(ADMIT_FEATURES), hidden)
-        if begin == "priced_admit":
-            self._begin_at_rule()
+        if begin in RULES:
+            self._begin_at(RULES[begin])
 
     @torch.no_grad()
-    def _begin_at_rule(self) -> None:
-        """Prices p (M^u - 1) / (M - 1), refusal above a priced cost, as ``priced_admit`` has them."""
+    def _begin_at(self, rule: Rule) -> None:
+        """Prices p (M^u - 1) / (M - 1), and refusal above a priced cost if the rule refuses."""
         used = np.linspace(0.01, 1.0, 100)
-        price = RULE_PRICE / self.price_unit * (RULE_STEEPNESS**used - 1.0) / (RULE_STEEPNESS - 1.0)
+        price = rule.price / self.price_unit * (STEEPNESS**used - 1.0) / (STEEPNESS - 1.0)
         powers = np.stack([used, used**4, used**16, np.ones_like(used)], axis=1)
         # A price is used share times f, so f is fitted to price / used, weighted by used.
         fitted = np.linalg.lstsq(powers * used[:, None], price, rcond=None)[0]
         for head in (self.vm, self.link):
             head.linear[:3] = torch.from_numpy(fitted[:3])
             head.linear[-1] = float(fitted[3])
-        self.admit.linear[ADMIT_FEATURES.index("priced")] = 3.0 / float(np.log(RULE_THRESHOLD / self.price_unit))
+        if rule.threshold is not None:
+            self.admit.linear[ADMIT_FEATURES.index("priced")] = 3.0 / float(np.log(rule.threshold / self.price_unit))
 
     def weights(self) -> PriceWeights:
         """The weights as the compiled search takes them."""
