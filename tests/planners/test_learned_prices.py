@@ -174,18 +174,25 @@ def test_the_compiled_functions_are_the_networks():
 
 
 @torch.no_grad()
-def test_it_may_begin_near_the_hand_tuned_rule():
-    made = PriceNetwork(begin="priced_admit", price_unit=16.0)
+@pytest.mark.parametrize(("rule", "highest"), [("priced", 4.0), ("priced_admit", 2.0)])
+def test_it_may_begin_near_a_hand_tuned_rule(rule, highest):
+    made = PriceNetwork(begin=rule, price_unit=16.0)
     used = torch.linspace(0, 1, 101)
     x = torch.zeros(101, len(VM_FEATURES))
     x[:, 0], x[:, 1], x[:, 2] = used, used**4, used**16
     price = used * made.vm(x).clamp(min=0)
-    rule = 2.0 * (3000.0**used - 1) / 2999
-    assert (price - rule).abs().max() < 0.1  # of prices up to 2
+    expected = highest * (3000.0**used - 1) / 2999
+    assert (price - expected).abs().max() < 0.05 * highest
+
+
+@torch.no_grad()
+def test_only_one_of_the_rules_refuses():
+    made = PriceNetwork(begin="priced_admit", price_unit=16.0)
     # Refusal above 75 mean unit costs, 4.69 price units, for the reference load.
     judged = torch.zeros(2, len(ADMIT_FEATURES))
     judged[:, 0] = torch.tensor([4.6, 4.7]).log() / 3
     assert (made.admit(judged) > 1).tolist() == [False, True]
+    assert not PriceNetwork(begin="priced").admit.linear.any()
 
 
 def test_bad_settings_are_named():
