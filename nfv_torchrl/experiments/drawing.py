@@ -135,7 +135,7 @@ def panel_figure(
 def set_title(figure: Figure, title: str) -> None:
     """The lines of ``title`` above all panels, broken where the figure is too narrow for them."""
     width = int(LETTERS_PER_INCH * figure.get_figwidth())
-    lines = [line for part in title.split("\n") for line in textwrap.wrap(part, width)]
+    lines = [line for part in title.split("\n") for line in textwrap.wrap(part, width, break_on_hyphens=False)]
     figure.suptitle("\n".join(lines), fontsize=9)
 
 
