@@ -16,7 +16,7 @@ class Rule(NamedTuple):
     """A hand-tuned rule, in multiples of the mean unit cost of VMs (50 $ in the paper's ranges)."""
 
     price: float  # p
-    threshold: float | None  # of priced cost, of the reference load (4.3 Mcycles/s in the paper's catalogue); None: no refusal
+    threshold: float | None  # priced cost above which the reference load (4.3 Mcycles/s in the paper) is refused
 
 
 STEEPNESS = 3000.0
