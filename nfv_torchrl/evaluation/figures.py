@@ -76,7 +76,7 @@ def line_figure(
             draw_series(axes, points, str(series), place, "--" if series in dashed else "-")
         axes.set(xlabel=x_label, ylabel=y_label, title=title)
         if rows:
-            axes.legend()
+            figure.legend(loc="outside lower center", ncols=4, fontsize=9)  # beside the lines, not on them
     return figure
 
 

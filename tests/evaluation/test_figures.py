@@ -16,7 +16,7 @@ def rows(points: int = 3) -> list[dict]:
 def test_a_line_a_series_with_error_bars_where_there_is_an_interval():
     figure = line_figure(rows(), x_label="requests/s", y_label="AAR", title="toy", dashed=("bound",))
     (axes,) = figure.axes
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["greedy", "bound"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["greedy", "bound"]
     lines = {line.get_label(): line for line in axes.lines}
     assert lines["greedy"].get_linestyle() == "-" and lines["bound"].get_linestyle() == "--"
     assert list(lines["bound"].get_xdata()) == [0, 1, 2]  # sorted, whatever the rows' order
