@@ -4,6 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 READY := $(VENV)/.ready
 
+# More arguments of pip, such as where to find a build of torch without CUDA (see README.md).
+PIP_ARGS ?=
 # Config overrides for the recipe: make train ARGS="scenario=geant preset=paper".
 ARGS ?=
 # Processes of the tests.
@@ -50,5 +52,5 @@ $(READY): pyproject.toml constraints.txt
 		exit 1; }
 	@echo 'Setting up $(VENV) (minutes the first time)'
 	@$(PYTHON) -m venv $(VENV)
-	@$(VENV)/bin/python -m pip install --quiet -c constraints.txt -e '.[dev]'
+	@$(VENV)/bin/python -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev]'
 	@touch $@

@@ -4,6 +4,7 @@ Each test is a behaviour seen to be so, with the reason why it matters. Some are
 when such a test fails, the detour may have become unnecessary.
 """
 
+import importlib
 import math
 
 import pytest
@@ -14,7 +15,16 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
-from torchrl.data import Binary, Categorical, Composite, LazyTensorStorage, OneHot, TensorDictReplayBuffer, Unbounded
+from torchrl.data import (
+    Binary,
+    Categorical,
+    Composite,
+    LazyTensorStorage,
+    OneHot,
+    PrioritizedSampler,
+    TensorDictReplayBuffer,
+    Unbounded,
+)
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.transforms import ActionMask, MultiStepTransform
 from torchrl.modules import EGreedyModule, MaskedCategorical, QValueActor
@@ -403,6 +413,30 @@ def test_a_buffer_resumes_with_what_it_held():
     first = buffer.sample()["x"]
     torch.manual_seed(0)
     assert torch.equal(other.sample()["x"], first)
+
+
+def test_the_compiled_extension_fits_this_torch():
+    # It is built for one torch release; with another it does not load, and whatever needs segment trees with it.
+    importlib.import_module("torchrl._torchrl")
+
+
+def test_prioritised_sampling_follows_the_priorities():
+    # alpha = 1: an item is drawn in proportion to its priority, and its weight makes up for that.
+    buffer = TensorDictReplayBuffer(
+        storage=LazyTensorStorage(4),
+        sampler=PrioritizedSampler(4, alpha=1.0, beta=1.0, eps=0.0),
+        batch_size=4000,
+        priority_key="priority",
+    )
+    buffer.extend(TensorDict({"x": torch.arange(4), "priority": torch.ones(4)}, [4]))
+    buffer.update_priority(torch.arange(4), torch.tensor([1e-9, 1.0, 3.0, 1e-9]))
+    torch.manual_seed(0)
+    drawn = buffer.sample()
+    share = (drawn["x"] == 2).float().mean().item()
+    assert set(drawn["x"].tolist()) == {1, 2}
+    assert share == pytest.approx(0.75, abs=0.03)
+    weight = {x: drawn["priority_weight"][drawn["x"] == x].unique().tolist() for x in (1, 2)}
+    assert weight[1][0] / weight[2][0] == pytest.approx(3.0, rel=1e-4)
 
 
 def test_random_numbers_resume():
