@@ -77,9 +77,9 @@ def fits(override: str, arguments: list[str]) -> bool:
 def test_a_loss_of_another_package_trains_in_a_process_of_its_own(folder):
     script, *arguments = shlex.split(COMMANDS[0])[1:]
     command = [sys.executable, str(ROOT / script), *arguments, *TINY["dqn"], "run_dir=runs/apart"]
-    done = subprocess.run(
-        command, cwd=folder, env={**os.environ, "PYTHONPATH": "."}, capture_output=True, text=True, timeout=300
-    )
+    # The package under test comes first, whatever is installed.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), "."])}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert (folder / "runs" / "apart" / "best.pt").exists()
 

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
-from tensordict.nn import TensorDictParams
-from torch import Tensor, nn
-from torchrl.modules import QValueActor
+from torch import Tensor
 from torchrl.objectives import distance_loss
 
 from nfv_torchrl.errors import ScenarioError
@@ -71,10 +69,6 @@ class AcrossRequests(MaskedLoss):
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
-    actor: QValueActor
-    value_network: nn.Module
-    value_network_params: TensorDictParams
-    target_value_network_params: TensorDictParams
     rate: Tensor
     """Reward rate of each service, float32 [M]."""
     out_keys = ["loss", "reward_rate", "td_error"]  # noqa: RUF012  as TorchRL's losses have it
@@ -94,11 +88,8 @@ class AcrossRequests(MaskedLoss):
         q_network = network(sizes)
         super().__init__(q_network, stop_at="terminated")
         self.n, self.double, self.by_service, self.loss_function = n, double, by_service, loss_function
-        actor = greedy_actor(q_network, sizes.actions)
-        self.convert_to_functional(q_network, "value_network", create_target_params=True)
+        self.adopt(q_network, actor=greedy_actor(q_network, sizes.actions))
         self.register_buffer("rate", torch.zeros(sizes.services if by_service else 1))
-        # Not registered as a submodule: its parameters are those of the loss already.
-        self.__dict__["actor"] = actor
 
     @abstractmethod
     def request_discount(self, after: TensorDictBase) -> Tensor | float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictParams
 from torch import Tensor, nn
 from torchrl.data import Categorical
 from torchrl.modules import QValueActor
@@ -57,12 +57,25 @@ def greedy_actor(network: nn.Module, actions: int, in_keys: Sequence[NestedKey] 
     return QValueActor(module, spec=Categorical(actions), action_space="categorical", action_mask_key="action_mask")
 
 
-class MaskedLoss(LossModule):
+class Acting:
+    """A loss that has an actor. Its parameters are those of the loss already, so it is no submodule of the loss."""
+
+    _actor: tuple[TensorDictModule]
+
+    @property
+    def actor(self) -> TensorDictModule:
+        """The policy being learned; see ``RequestLoss``."""
+        return self._actor[0]
+
+    def act_by(self, actor: TensorDictModule) -> None:
+        """Make ``actor`` the policy. In a tuple, which PyTorch does not look into, it is not registered."""
+        self._actor = (actor,)
+
+
+class MaskedLoss(Acting, LossModule):
     """What the losses written here share: keys, the transitions they store, and networks called by their parameters.
 
-    A subclass calls ``convert_to_functional(network, "value_network", create_target_params=True)`` for each network,
-    with the three names (``value_network``, ``value_network_params``, ``target_value_network_params``) among its
-    annotations; a target updater of TorchRL then finds them.
+    A subclass hands its networks and its actor over by ``adopt``.
 
     Keys, all of which ``set_keys`` can change: ``action`` int64 [], ``action_mask`` bool [A], and under ``next``
     ``reward`` float32 [1] and ``done`` bool [1], which is ``stop_at`` here: where looking ahead ends.
@@ -81,6 +94,13 @@ class MaskedLoss(LossModule):
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
+    # TorchRL wants the names of functional networks annotated, and finds target networks by theirs.
+    value_network: nn.Module
+    value_network_params: TensorDictParams
+    target_value_network_params: TensorDictParams
+    actor_network: nn.Module
+    actor_network_params: TensorDictParams
+    target_actor_network_params: TensorDictParams
 
     def __init__(self, network: QNetwork, *, stop_at: str = "request_done") -> None:
         super().__init__()
@@ -89,6 +109,26 @@ class MaskedLoss(LossModule):
 
     def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
         """There is no value estimator."""
+
+    def adopt(
+        self,
+        network: nn.Module,
+        *,
+        actor: TensorDictModule | None = None,
+        name: str = "value_network",
+        target: bool = True,
+    ) -> None:
+        """Make the parameters of ``network`` those of this loss; ``outputs(name, ...)`` then calls it.
+
+        Args:
+            network: a network to learn.
+            actor: a policy made of it, which becomes ``actor``.
+            name: ``value_network`` or ``actor_network``; another name has to be annotated as these two are.
+            target: keep a target network, too, for a target updater to move.
+        """
+        self.convert_to_functional(network, name, create_target_params=target)
+        if actor is not None:
+            self.act_by(actor)
 
     @property
     def in_keys(self) -> list[NestedKey]:

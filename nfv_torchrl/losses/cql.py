@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictParams
-from torch import nn
-from torchrl.modules import QValueActor
 
 from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax, masked_logsumexp
@@ -39,10 +36,6 @@ class CQL(MaskedLoss):
     the greedy policy would take, too.
     """
 
-    actor: QValueActor
-    value_network: nn.Module
-    value_network_params: TensorDictParams
-    target_value_network_params: TensorDictParams
     out_keys = ["loss_td", "loss_conservative", "agreement"]  # noqa: RUF012  as TorchRL's losses have it
 
     def __init__(
@@ -58,9 +51,7 @@ class CQL(MaskedLoss):
         q_network = network(sizes)
         super().__init__(q_network, stop_at=stop_at)
         self.alpha, self.gamma, self.double = alpha, gamma, double
-        actor = greedy_actor(q_network, sizes.actions)
-        self.convert_to_functional(q_network, "value_network", create_target_params=True)
-        self.__dict__["actor"] = actor
+        self.adopt(q_network, actor=greedy_actor(q_network, sizes.actions))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """The two losses of a batch of transitions."""

@@ -6,7 +6,7 @@ import math
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictParams
+from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.data import Categorical
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
@@ -48,13 +48,6 @@ class DiscreteSAC(MaskedLoss):
     ``loss_alpha``, all []. Logs ``alpha`` [] and ``entropy`` [], the mean entropy of the policy, nats.
     """
 
-    actor: ProbabilisticActor
-    actor_network: nn.Module
-    actor_network_params: TensorDictParams
-    target_actor_network_params: TensorDictParams
-    value_network: nn.Module
-    value_network_params: TensorDictParams
-    target_value_network_params: TensorDictParams
     out_keys = ["loss_qvalue", "loss_actor", "loss_alpha", "alpha", "entropy"]  # noqa: RUF012  as TorchRL has it
 
     def __init__(
@@ -74,10 +67,8 @@ class DiscreteSAC(MaskedLoss):
         super().__init__(policy, stop_at=stop_at)
         self.gamma, self.entropy_share = gamma, entropy_share
         self.log_alpha = nn.Parameter(torch.tensor(math.log(alpha)), requires_grad=learn_alpha)
-        actor = stochastic_actor(policy, sizes.actions)
-        self.convert_to_functional(policy, "actor_network")
-        self.convert_to_functional(critics, "value_network", create_target_params=True)
-        self.__dict__["actor"] = actor
+        self.adopt(policy, actor=stochastic_actor(policy, sizes.actions), name="actor_network", target=False)
+        self.adopt(critics)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """The three losses of a batch of transitions."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from tensordict import TensorDictBase
-from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
-from nfv_torchrl.losses.base import greedy_actor
+from nfv_torchrl.losses.base import Acting, greedy_actor
 from nfv_torchrl.networks import NetworkFactory, Sizes
 
 
-class DQN(DQNLoss):
+class DQN(Acting, DQNLoss):
     r"""Mean squared temporal-difference error over valid actions.
 
     .. math:: \big(r + \gamma (1 - d') \max_{a' \in A_p(s')} \bar Q(s', a') - Q(s, a)\big)^2
@@ -32,8 +31,6 @@ class DQN(DQNLoss):
     observation, ``reward`` float32 [1] and ``stop_at`` bool [1]. Writes ``loss`` []. Logs nothing else.
     """
 
-    actor: QValueActor
-
     def __init__(
         self,
         network: NetworkFactory,
@@ -50,8 +47,7 @@ class DQN(DQNLoss):
         )
         self.set_keys(done=stop_at, terminated=stop_at)
         self.make_value_estimator(gamma=gamma)
-        # Not registered as a submodule: its parameters are those of the loss already.
-        self.__dict__["actor"] = actor
+        self.act_by(actor)
 
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Single transitions: only the keys that the loss reads, [B, T] flattened."""

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictParams
-from torch import nn
-from torchrl.modules import QValueActor
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
@@ -34,10 +31,6 @@ class Imitation(MaskedLoss):
     ``agreement`` []: the share of recorded actions that the greedy policy would take, too.
     """
 
-    actor: QValueActor
-    actor_network: nn.Module
-    actor_network_params: TensorDictParams
-    target_actor_network_params: TensorDictParams
     out_keys = ["loss", "agreement"]  # noqa: RUF012  as TorchRL's losses have it
 
     def __init__(self, network: NetworkFactory, sizes: Sizes, *, temperature: float = 1.0) -> None:
@@ -47,8 +40,7 @@ class Imitation(MaskedLoss):
         super().__init__(preferences)
         self.temperature = temperature
         actor = greedy_actor(preferences, sizes.actions)
-        self.convert_to_functional(preferences, "actor_network")
-        self.__dict__["actor"] = actor
+        self.adopt(preferences, actor=actor, name="actor_network", target=False)
 
     @property
     def in_keys(self) -> list:

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictParams
 from torch import Tensor, nn
-from torchrl.modules import QValueActor
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
@@ -42,10 +40,6 @@ class QuantileDQN(MaskedLoss):
     ``quantile_spread`` []: mean distance from the lowest to the highest quantile of the actions taken.
     """
 
-    actor: QValueActor
-    value_network: nn.Module
-    value_network_params: TensorDictParams
-    target_value_network_params: TensorDictParams
     out_keys = ["loss", "quantile_spread"]  # noqa: RUF012  as TorchRL's losses have it
 
     def __init__(
@@ -64,12 +58,10 @@ class QuantileDQN(MaskedLoss):
         quantile_network = network(sizes, outputs=quantiles)
         super().__init__(quantile_network, stop_at=stop_at)
         self.gamma, self.kappa, self.double = gamma, kappa, double
-        # Made before the network is converted, so that both have the same parameters.
         actor = greedy_actor(MeanValue(quantile_network), sizes.actions, quantile_network.in_keys)
-        self.convert_to_functional(quantile_network, "value_network", create_target_params=True)
+        self.adopt(quantile_network, actor=actor)
         levels = (2 * torch.arange(quantiles) + 1) / (2 * quantiles)
         self.register_buffer("levels", levels, persistent=False)
-        self.__dict__["actor"] = actor
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """The loss of a batch of transitions."""

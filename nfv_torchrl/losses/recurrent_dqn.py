@@ -5,16 +5,17 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictParams
-from torch import Tensor, nn
+from torch import Tensor
 from torchrl.data import Categorical
 from torchrl.modules import QValueActor
-from torchrl.objectives import LossModule, distance_loss
+from torchrl.objectives import distance_loss
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.losses.base import MaskedLoss
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
 
 
-class RecurrentDQN(LossModule):
+class RecurrentDQN(MaskedLoss):
     r"""Mean squared temporal-difference error of a Q-network with memory, over sequences across requests.
 
     .. math:: \big(r_t + \gamma (1 - d_{t+1}) \max_{a' \in A_p(s_{t+1})} \bar Q(o_{\le t+1}, a')
@@ -48,10 +49,6 @@ class RecurrentDQN(LossModule):
         ScenarioError: the network has no memory, negative ``burn_in``.
     """
 
-    actor: QValueActor
-    value_network: nn.Module
-    value_network_params: TensorDictParams
-    target_value_network_params: TensorDictParams
 
     def __init__(
         self,
@@ -64,21 +61,15 @@ class RecurrentDQN(LossModule):
         loss_function: str = "l2",
         stop_at: str = "request_done",
     ) -> None:
-        super().__init__()
         if burn_in < 0:
             raise ScenarioError(f"loss.burn_in is {burn_in}; use 0 or more steps")
         made = network(sizes)
         if not hasattr(made, "unroll"):
             raise ScenarioError(f"{type(made).__name__} has no memory; use a network that has one, such as network=gru")
-        actor = recurrent_actor(made, sizes.actions)
-        self.convert_to_functional(made, "value_network", create_target_params=True)
+        super().__init__(made, stop_at=stop_at)
+        self.adopt(made, actor=recurrent_actor(made, sizes.actions))
         self.gamma, self.double, self.burn_in = gamma, double, burn_in
-        self.loss_function, self.stop_at = loss_function, stop_at
-        # Not registered as a submodule: its parameters are those of the loss already.
-        self.__dict__["actor"] = actor
-
-    def _forward_value_estimator_keys(self, **kwargs) -> None:
-        """There is no value estimator."""
+        self.loss_function = loss_function
 
     @property
     def in_keys(self) -> list[str]:
@@ -103,7 +94,7 @@ class RecurrentDQN(LossModule):
                 "memory": data.get("memory")[:, 0],
                 "action": data.get("action"),
                 "reward": after.get("reward").squeeze(-1),
-                "stop": after.get(self.stop_at).squeeze(-1) | done,
+                "stop": after.get(self.tensor_keys.done).squeeze(-1) | done,
             },
             batch_size=data.shape[:1],
         )
