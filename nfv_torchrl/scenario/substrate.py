@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import json
 import os
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,8 @@ from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY, quantise
 class Substrate:
     """An undirected connected graph G(N, L) with VMs on its nodes (section "System Model" of the paper).
 
-    Nodes are 0 .. N-1, in files too. Arrays are read-only; capacities are rounded to whole bit/s and cycles/s.
+    Nodes are 0 .. N-1; people and workload files call them by id or label, see :meth:`node_index`. Arrays are
+    read-only; capacities are rounded to whole bit/s and cycles/s.
 
     Attributes:
         name: what tables and files call it.
@@ -36,6 +39,8 @@ class Substrate:
         link_delay: propagation delay kappa in ms, float64 [L].
         link_unit_cost: w-hat in $ per Mbit/s, float64 [L].
         coordinates: latitude and longitude in degrees, float64 [N, 2], or None.
+        ids: N distinct names, those by which the file that the network comes from refers to its nodes; if empty, as
+            with generated networks, "0" .. "N-1".
 
     Raises:
         ScenarioError: shapes that do not fit, values out of range, or a graph that is not connected.
@@ -51,9 +56,11 @@ class Substrate:
     link_delay: np.ndarray
     link_unit_cost: np.ndarray
     coordinates: np.ndarray | None = None
+    ids: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        self._set("labels", tuple(str(label) for label in self.labels))
+        self._set("labels", tuple(str(label).strip() for label in self.labels))
+        self._set("ids", tuple(str(name).strip() for name in self.ids) or tuple(map(str, range(len(self.labels)))))
         for field in ("vm_count", "links"):
             self._set(field, np.array(getattr(self, field), np.int64))
         for field in ("vm_capacity", "link_capacity"):
@@ -94,6 +101,45 @@ class Substrate:
         """The same network with every VM's capacity times ``factor``."""
         return dataclasses.replace(self, vm_capacity=self.vm_capacity * factor)
 
+    # ---------------------------------------------------------------- names
+
+    def node_index(self, name: str) -> int:
+        """The node whose id or label is ``name``, 0 .. N-1; blanks around it do not count.
+
+        A number is an id like any other: in a file whose ids start at 1, "1" is that file's first node.
+
+        Raises:
+            ScenarioError: no node is called so, or it is the id of one node and the label of another.
+        """
+        name = name.strip()
+        by_id, by_label = self._by_id.get(name), self._by_label.get(name)
+        if by_id is None and by_label is None:
+            raise ScenarioError(f"unknown node {name!r}; {self._names_like(name)}")
+        if by_id is not None and by_label is not None and by_id != by_label:
+            raise ScenarioError(
+                f"node {name!r}: is the id of node {self.labels[by_id]!r} and the label of the node with id "
+                f"{self.ids[by_label]!r}; name that node by the other of its names"
+            )
+        return by_label if by_id is None else by_id  # type: ignore[return-value]  # one is an index
+
+    @cached_property
+    def _by_id(self) -> dict[str, int]:
+        return {name: node for node, name in enumerate(self.ids)}
+
+    @cached_property
+    def _by_label(self) -> dict[str, int]:
+        return {name: node for node, name in enumerate(self.labels)}
+
+    def _names_like(self, name: str) -> str:
+        """What an error about an unknown ``name`` proposes."""
+        if self.ids == tuple(map(str, range(self.num_nodes))):
+            known = f"the substrate's nodes are 0 .. {self.num_nodes - 1}"
+        else:
+            more = ", .." if self.num_nodes > 5 else ""
+            known = f"use an id of the substrate's file ({', '.join(self.ids[:5])}{more})"
+        close = difflib.get_close_matches(name, [*self.ids, *self.labels], n=1)
+        return f"{known} or a label" + (f"; did you mean {close[0]!r}?" if close else "")
+
     # ---------------------------------------------------------------- checks
 
     def validate(self) -> None:
@@ -114,6 +160,8 @@ class Substrate:
             raise self._error(f"has {nodes} node(s); a request needs an ingress and an egress, so at least 2")
         if len(set(self.labels)) != nodes:
             raise self._error("has two nodes with one label; labels must differ")
+        if len(self.ids) != nodes or len(set(self.ids)) != nodes:
+            raise self._error(f"ids must be {nodes} different names, one for each node; leave them out for 0 .. N-1")
         vms = self.vm_capacity.shape[-1] if self.vm_capacity.ndim == 2 else 1
         expected: dict[str, tuple[int, ...]] = {
             "vm_count": (nodes,),
@@ -169,14 +217,19 @@ class Substrate:
     # ---------------------------------------------------------------- files
 
     def to_networkx(self) -> nx.Graph:
-        """A graph with node attributes ``label``, ``vms`` (list of ``capacity``, ``unit_cost``), ``latitude`` and
-        ``longitude`` if known; link attributes ``capacity``, ``delay``, ``unit_cost``; graph attributes ``name``,
-        ``max_vms`` (V, which the VMs alone do not tell)."""
+        """A graph of nodes 0 .. N-1, with all that the substrate holds as attributes.
+
+        Node: ``label``, ``file_id`` where that is not the node's number, ``vms`` (list of ``capacity``, ``unit_cost``),
+        ``latitude`` and ``longitude`` if known. Link: ``capacity``, ``delay``, ``unit_cost``. Graph: ``name``,
+        ``max_vms`` (V, which the VMs alone do not tell).
+        """
         graph = nx.Graph(name=self.name, max_vms=self.max_vms)
         for node, label in enumerate(self.labels):
             count = int(self.vm_count[node])
             pairs = zip(self.vm_capacity[node, :count].tolist(), self.vm_unit_cost[node, :count].tolist(), strict=True)
             graph.add_node(node, label=label, vms=[{"capacity": psi, "unit_cost": w} for psi, w in pairs])
+            if self.ids[node] != str(node):
+                graph.nodes[node]["file_id"] = self.ids[node]
             if self.coordinates is not None:
                 latitude, longitude = self.coordinates[node].tolist()
                 graph.nodes[node].update(latitude=latitude, longitude=longitude)
@@ -194,8 +247,8 @@ class Substrate:
     def from_networkx(cls, graph: nx.Graph, source: str = "graph") -> Substrate:
         """The inverse of :meth:`to_networkx`; ``source`` names the graph in errors.
 
-        Node ids that are 0 .. N-1 stay; others are numbered in the graph's order and kept as labels. Parallel links are
-        merged, links from a node to itself dropped with a warning.
+        Nodes that are 0 .. N-1 stay; others are numbered in the graph's order and kept as ids (and labels where there
+        is none). Parallel links are merged, links from a node to itself dropped with a warning.
 
         Raises:
             ScenarioError: an attribute is missing or not a number, or the result is no substrate.
@@ -223,6 +276,7 @@ class Substrate:
             link_delay=links.delay,
             link_unit_cost=links.unit_cost,
             coordinates=_coordinates_of([graph.nodes[node] for node in nodes], source),
+            ids=tuple(str(graph.nodes[node].get("file_id", node)) for node in nodes),
         )
 
     def to_json(self, path: str | os.PathLike[str]) -> None:

@@ -85,6 +85,7 @@ def read_topology(
         link_delay=links.delay,
         link_unit_cost=links.unit_cost,
         coordinates=coordinates,
+        ids=tuple(str(data["id"]) for _, data in graph.nodes(data=True)),
     )
 
 

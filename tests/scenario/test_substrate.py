@@ -88,6 +88,42 @@ def test_coordinates_labels_and_unused_vm_slots_survive(tmp_path):
     assert_same(substrate, Substrate.from_json(tmp_path / "s.json"))
 
 
+NAMES = dataclasses.replace(
+    toy.toy_substrate(), ids=("1", "2", "x", "4"), labels=("Oslo", "Bergen ", "4", "St. John's, NL")
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "node"),
+    [("1", 0), ("2", 1), ("x", 2), ("Oslo", 0), (" Bergen", 1), ("St. John's, NL", 3)],
+)
+def test_a_node_is_called_by_id_or_label(name, node, tmp_path):
+    assert NAMES.node_index(name) == node
+    NAMES.to_json(tmp_path / "names.json")
+    again = Substrate.from_json(tmp_path / "names.json")
+    assert_same(NAMES, again)
+    assert again.node_index(name) == node
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("0", r"unknown node '0'; use an id of the substrate's file \(1, 2, x, 4\) or a label"),
+        ("oslo", r"unknown node 'oslo'; .* did you mean 'Oslo'\?"),
+        ("4", r"node '4': is the id of node \"St. John's, NL\" and the label of the node with id 'x'"),
+    ],
+)
+def test_a_name_of_no_or_two_nodes_is_refused(name, message):
+    with pytest.raises(ScenarioError, match=message):
+        NAMES.node_index(name)
+
+
+def test_without_a_file_nodes_are_called_by_number():
+    assert toy.toy_substrate().node_index(" 3") == 3
+    with pytest.raises(ScenarioError, match=r"unknown node '4'; the substrate's nodes are 0 \.\. 3"):
+        toy.toy_substrate().node_index("4")
+
+
 def test_file_is_what_networkx_reads(tmp_path):
     toy.toy_substrate().to_json(tmp_path / "s.json")
     data = json.loads((tmp_path / "s.json").read_text())
@@ -97,6 +133,12 @@ def test_file_is_what_networkx_reads(tmp_path):
     assert data["graph"]["name"] == "toy"
     assert data["nodes"][1]["vms"] == [{"capacity": 40.0, "unit_cost": 1.0}, {"capacity": 100.0, "unit_cost": 5.0}]
     assert data["edges"][3] == {"source": 1, "target": 3, "capacity": 4.0, "delay": 50.0, "unit_cost": 4.0}
+
+
+def test_ids_of_a_foreign_graph_are_kept():
+    graph = toy.toy_substrate().to_networkx()
+    graph = nx.relabel_nodes(graph, {node: node + 1 for node in graph})
+    assert Substrate.from_networkx(graph).ids == ("1", "2", "3", "4")
 
 
 def test_foreign_graph_parallel_links_merge_and_loops_go():
@@ -131,6 +173,7 @@ def test_foreign_graph_parallel_links_merge_and_loops_go():
         ({"vm_count": np.array([1, 3, 1, 2])}, r"node 1 has 3 VMs; 1 to 2"),
         ({"vm_count": np.array([1, 2, 0, 2])}, r"node 2 has 0 VMs"),
         ({"labels": ("a", "b", "b", "c")}, r"labels must differ"),
+        ({"ids": ("1", "2", "1", "3")}, r"ids must be 4 different names"),
         ({"links": np.array([[0, 1], [0, 2], [1, 2], [3, 1], [2, 3]])}, r"u < v"),
         ({"links": np.array([[0, 1], [0, 2], [1, 2], [1, 3], [1, 3]])}, r"sorted and distinct"),
         ({"links": np.array([[0, 1], [0, 2], [1, 2], [1, 3], [2, 4]])}, r"outside 0 .. 3"),
