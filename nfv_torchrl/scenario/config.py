@@ -1,21 +1,15 @@
-"""What a scenario's yaml may say: dataclasses of all keys with their defaults, and a strict parser."""
+"""What a scenario's yaml may say: dataclasses of all keys with their defaults."""
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import os
-import types
-import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Union, get_args, get_origin
-
-import numpy as np
+from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureModel
 from nfv_torchrl.scenario.services import PAPER_VNFS, ServiceType, paper_catalogue
+from nfv_torchrl.settings.values import parse_dataclass
 
 Range = tuple[float, float]
 
@@ -118,7 +112,7 @@ def parse_config(config: Mapping[str, Any] | ScenarioConfig) -> ScenarioConfig:
     values = dict(config)
     if "services" in values:
         values["services"] = _services(values["services"])
-    return _parse_dataclass(ScenarioConfig, values, "scenario")
+    return parse_dataclass(ScenarioConfig, values, "scenario")
 
 
 def _services(config: Any) -> dict[str, ServiceType]:
@@ -132,81 +126,10 @@ def _services(config: Any) -> dict[str, ServiceType]:
     services: dict[str, ServiceType] = {}
     for name, service in entries:
         if isinstance(service, Mapping):
-            service = _parse_dataclass(ServiceType, {"name": name, **service}, f"{where}.{name}")
+            service = parse_dataclass(ServiceType, {"name": name, **service}, f"{where}.{name}")
         if not isinstance(service, ServiceType):
             raise ScenarioError(f"{where}.{name}: is {service!r}; give chain, rate, tolerable_delay and weight")
         if service.name in services:
             raise ScenarioError(f"{where}: {service.name!r} is there twice; names must differ")
         services[service.name] = service
     return services
-
-
-def _parse_dataclass(kind: type, values: Mapping[str, Any], where: str) -> Any:
-    hints = typing.get_type_hints(kind)
-    for key in values:
-        if key not in hints:
-            close = difflib.get_close_matches(str(key), hints, n=1)
-            guess = f"did you mean {close[0]!r}? " if close else ""
-            raise ScenarioError(f"{where}.{key}: unknown key; {guess}known keys: {', '.join(hints)}")
-    for spec in dataclasses.fields(kind):
-        required = spec.default is dataclasses.MISSING and spec.default_factory is dataclasses.MISSING
-        if required and spec.name not in values:
-            raise ScenarioError(f"{where}.{spec.name}: is missing; add it")
-    return kind(**{key: _parse(value, hints[key], f"{where}.{key}") for key, value in values.items()})
-
-
-def _parse(value: Any, hint: Any, where: str) -> Any:
-    """``value`` as the annotated type ``hint``, or an error that says what was expected."""
-    if get_origin(hint) in (Union, types.UnionType):
-        inner = [choice for choice in get_args(hint) if choice is not type(None)]
-        return None if value is None else _parse(value, inner[0], where)
-    if dataclasses.is_dataclass(hint):
-        return _parse_nested(value, hint, where)
-    if get_origin(hint) is dict:
-        return _parse_mapping(value, get_args(hint)[1], where)
-    if get_origin(hint) is tuple:
-        return _parse_sequence(value, get_args(hint), where)
-    if hint is Any or (isinstance(hint, type) and hint is not float and hint is not int and isinstance(value, hint)):
-        return value
-    if hint is str and isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if hint in (int, float):
-        return _parse_number(value, hint, where)
-    expected = {bool: "true or false", str: "text"}.get(hint, f"a {hint}")
-    raise ScenarioError(f"{where}: {value!r} where {expected} was expected")
-
-
-def _parse_nested(value: Any, hint: Any, where: str) -> Any:
-    if isinstance(value, hint):
-        return value
-    if not isinstance(value, Mapping):
-        raise ScenarioError(f"{where}: {value!r} where a mapping of keys to values was expected")
-    return _parse_dataclass(hint, value, where)
-
-
-def _parse_mapping(value: Any, hint: Any, where: str) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ScenarioError(f"{where}: {value!r} where a mapping of keys to values was expected")
-    return {str(key): _parse(item, hint, f"{where}.{key}") for key, item in value.items()}
-
-
-def _parse_sequence(value: Any, hints: tuple[Any, ...], where: str) -> tuple[Any, ...]:
-    endless = hints[-1] is Ellipsis
-    expected = "a list" if endless else "two numbers [low, high]"
-    if isinstance(value, str) or not isinstance(value, Sequence) or not (endless or len(value) == len(hints)):
-        raise ScenarioError(f"{where}: {value!r} where {expected} was expected")
-    return tuple(_parse(item, hints[0], f"{where}[{place}]") for place, item in enumerate(value))
-
-
-def _parse_number(value: Any, hint: Any, where: str) -> int | float:
-    expected = "an integer" if hint is int else "a finite number"
-    # A comparison, because math.isfinite chokes on integers beyond a float's range.
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float | np.integer | np.floating)
-        or not -1e300 < value < 1e300
-    ):
-        raise ScenarioError(f"{where}: {value!r} where {expected} was expected")
-    if hint is int and value != round(value):
-        raise ScenarioError(f"{where}: {value!r} where {expected} was expected")
-    return hint(value)
