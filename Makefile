@@ -19,7 +19,7 @@ EVALUATE_ARGS := method=[random,random_feasible,greedy,checkpoint] checkpoint=$(
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup train test lint tensorboard
+.PHONY: help setup train test lint docs tensorboard
 
 help:  ## Show this list
 	@sed -nE 's/^([a-z]+):.*## (.*)$$/  make \1|\2/p' $(firstword $(MAKEFILE_LIST)) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
@@ -43,6 +43,10 @@ lint: $(READY)  ## Check style with ruff and types with mypy
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
 
+docs: $(READY)  ## Build the documentation in site/
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict
+	@echo 'Documentation: site/index.html'
+
 tensorboard: $(READY)  ## Show the curves of all runs
 	$(VENV)/bin/tensorboard --logdir runs
 
@@ -52,5 +56,5 @@ $(READY): pyproject.toml constraints.txt
 		exit 1; }
 	@echo 'Setting up $(VENV) (minutes the first time)'
 	@$(PYTHON) -m venv $(VENV)
-	@$(VENV)/bin/python -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev]'
+	@$(VENV)/bin/python -m pip install 2>&1 | grep -v INFO || true $(PIP_ARGS) -c constraints.txt -e '.[dev]'
 	@touch $@

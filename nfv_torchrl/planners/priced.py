@@ -49,13 +49,12 @@ def plan_priced(
     scratch,
     plan,
 ):
-    """``plan_cheapest`` at the prices of ``fill_prices``.
+    """``plan_cheapest`` at the prices of ``fill_prices``, with its other arguments.
 
     Args:
         price: p, what a full resource costs above its unit cost ($ per unit).
         steepness: M, above 1.
         admit_threshold: refuse (return 0) a request whose priced cost ($) exceeds this; inf: never.
-        tables, rules, net, vm_offered, link_offered, service, ingress, egress, scratch, plan: as ``plan_cheapest``.
 
     Returns:
         Number of actions, 0 if infeasible or refused, OVERFLOW (-1) if the scratch must grow.

@@ -23,7 +23,9 @@ class CompiledCandidates:
 
     Args:
         network: what decides.
-        name, mask, decides_admission: see ``PolicyMethod``.
+        name: see ``PolicyMethod``.
+        mask: see ``PolicyMethod``.
+        decides_admission: see ``PolicyMethod``.
 
     Raises:
         ScenarioError: a network that ``CandidatePlay`` does not take.
