@@ -28,14 +28,17 @@ def mean_use(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
     before = np.r_[-1, record.step_node[:-1]]
     first = record.step_offsets[:-1][np.diff(record.step_offsets) > 0]
     before[first] = workload.ingress[np.diff(record.step_offsets) > 0]
+    taken = record.accepted[request]  # what a rejected request tried uses nothing
+    request, service, before = request[taken], service[taken], before[taken]
+    node, function = record.step_node[taken], record.step_function[taken]
     node_use = np.zeros(substrate.num_nodes)
-    placed = record.step_function >= 0
-    load = scenario.catalogue.load[service[placed], record.step_function[placed]]
-    np.add.at(node_use, record.step_node[placed], load * stay[request[placed]])
+    placed = function >= 0
+    load = scenario.catalogue.load[service[placed], function[placed]]
+    np.add.at(node_use, node[placed], load * stay[request[placed]])
     index = np.full((substrate.num_nodes, substrate.num_nodes), -1)
     u, v = substrate.links.T
     index[u, v] = index[v, u] = np.arange(substrate.num_links)
-    link = index[before, record.step_node]
+    link = index[before, node]
     link_use = np.zeros(substrate.num_links)
     np.add.at(link_use, link[link >= 0], (scenario.catalogue.rate[service] * stay[request])[link >= 0])
     return node_use / substrate.vm_capacity.sum(axis=1), link_use / substrate.link_capacity

@@ -23,6 +23,10 @@ from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
 RUN_FILES = ("scenario.json", "substrate.json", "workload.csv", "decisions.jsonl", "metrics.json")
 FORWARD = -1
 """Function index of a step that places nothing."""
+REJECT, NO_ACTION = -1, -2
+"""In place of a node: the action ``reject``, and what is no action of the network at all."""
+WORDS = {REJECT: "reject", NO_ACTION: "no action"}
+"""Both in decision files."""
 
 
 @dataclass(eq=False)
@@ -30,7 +34,8 @@ class RunRecord:
     """The decisions of one method on one workload of R requests, in arrival order.
 
     Walks are stored end to end: request r's steps are rows ``step_offsets[r]`` to ``step_offsets[r + 1]`` of the three
-    step arrays; a rejected request has none.
+    step arrays. Those of a rejected request are what it tried: steps that passed, then the one that ended it, in whose
+    place :data:`REJECT` or :data:`NO_ACTION` may stand.
 
     Raises:
         ScenarioError: an array has another length than the workload or the steps ask for.
@@ -48,7 +53,7 @@ class RunRecord:
     hops: np.ndarray  # int64 [R], links used, counted as often as they are used
     interrupted_at: np.ndarray  # int64 [R], slot, -1 if never
     step_offsets: np.ndarray  # int64 [R + 1]
-    step_node: np.ndarray  # int32 [total steps]
+    step_node: np.ndarray  # int32 [total steps], last of a rejected request: also REJECT or NO_ACTION
     step_vm: np.ndarray  # int32 [total steps], index of the VM on its node
     step_function: np.ndarray  # int32 [total steps], index in the chain, -1 = forward only
     seconds: float  # wall time of the decisions alone
@@ -121,11 +126,13 @@ def _decision_lines(record: RunRecord) -> Iterator[str]:
         record.interrupted_at.tolist(), strict=True,
     )  # fmt: skip
     functions = [None if f == FORWARD else f for f in record.step_function.tolist()]
-    steps = [list(step) for step in zip(record.step_node.tolist(), record.step_vm.tolist(), functions, strict=True)]
+    rows = zip(record.step_node.tolist(), record.step_vm.tolist(), functions, strict=True)
+    steps = [list(step) if step[0] >= 0 else WORDS[step[0]] for step in rows]
     offsets = record.step_offsets.tolist()
     for row, (slot, service, ingress, egress, lifetime, accepted, reason, delay, cost, interrupted) in enumerate(
         requests
     ):
+        walk = steps[offsets[row] : offsets[row + 1]]
         decision = {
             "slot": slot,
             "service": names[service],
@@ -134,7 +141,8 @@ def _decision_lines(record: RunRecord) -> Iterator[str]:
             "lifetime": lifetime,
             "accepted": accepted,
             "reason": None if reason == NO_REASON else REASON_NAMES[reason],
-            "steps": steps[offsets[row] : offsets[row + 1]],
+            "steps": walk if accepted else [],
+            "tried": None if accepted else walk,
             "delay_ms": delay if accepted else None,
             "cost": cost if accepted else None,
             "interrupted_at": interrupted if interrupted >= 0 else None,

@@ -9,7 +9,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import Method
-from nfv_torchrl.evaluation.records import FORWARD, RunRecord
+from nfv_torchrl.evaluation.records import FORWARD, NO_ACTION, REJECT, RunRecord
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
@@ -138,7 +138,8 @@ def _record(
     """What environment b answered, as arrays of its own."""
     log, requests = simulator.world.log, len(workload)
     offsets = log.start[b, : requests + 1].copy()
-    node, vm, function = _steps(log.action[b, : offsets[-1]], offsets, simulator.tables.vm_capacity.shape[2])
+    _, nodes, vms = simulator.tables.vm_capacity.shape
+    node, vm, function = _steps(log.action[b, : offsets[-1]], offsets, nodes, vms)
     reason = log.reason[b, :requests].copy()
     return RunRecord(
         method=name,
@@ -160,10 +161,15 @@ def _record(
     )
 
 
-def _steps(actions: np.ndarray, offsets: np.ndarray, vms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Node, VM and function, int32 each, of actions 2 (n V + v) + s; functions are placed in the order of the chain."""
-    places = actions % 2 == 1
+def _steps(actions: np.ndarray, offsets: np.ndarray, nodes: int, vms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Node, VM and function, int32 each, of actions 2 (n V + v) + s; functions are placed in the order of the chain.
+
+    Instead of a node: ``REJECT`` for the action after all of these, ``NO_ACTION`` for -1.
+    """
+    places = (actions % 2 == 1) & (actions >= 0)
     placed = np.r_[0, np.cumsum(places)]  # before each step, over all walks
     before = np.repeat(placed[offsets[:-1]], np.diff(offsets))  # placed before the walk began
     function = np.where(places, placed[:-1] - before, FORWARD)
-    return (actions // (2 * vms)).astype(np.int32), (actions // 2 % vms).astype(np.int32), function.astype(np.int32)
+    node = np.where(actions < 0, NO_ACTION, actions // (2 * vms))
+    node[node == nodes] = REJECT
+    return node.astype(np.int32), (actions // 2 % vms).astype(np.int32), function.astype(np.int32)

@@ -83,28 +83,33 @@ def _move(world, b, service, action):
 
 
 @part
-def _log_answer(world, b, reason):
+def _log_answer(world, b, reason, action):
+    """The steps of the walk; of a rejected request also ``action``, the one that ended it (-1 if it is none at all)."""
     log, e = world.log, world.env[b]
     r = e.cursor
     log.reason[b, r] = reason
+    for k in range(e.steps):
+        log.action[b, e.log_length + k] = world.walk.action[b, k]
+    e.log_length += e.steps
     if reason == NO_REASON:
         log.delay[b, r] = e.elapsed
         log.cost[b, r] = e.cost
         log.hops[b, r] = e.hops
-        for k in range(e.steps):
-            log.action[b, e.log_length + k] = world.walk.action[b, k]
-        e.log_length += e.steps
+    else:
+        known = 0 <= action < world.seen.mask.shape[1]
+        log.action[b, e.log_length] = action if known else np.int64(-1)
+        e.log_length += 1
     log.start[b, r + 1] = e.log_length
 
 
 @part
-def _finish(world, b, reason):
-    """Answer the request (``NO_REASON`` accepts it) and move on to the next one."""
+def _finish(world, b, reason, action):
+    """Answer the request (``NO_REASON`` accepts it) after its last ``action`` and move on to the next one."""
     out, e = world.outcome, world.env[b]
     out[b, REQUEST_DONE] = 1.0
     out[b, REASON] = reason
     if world.log.enabled:
-        _log_answer(world, b, reason)
+        _log_answer(world, b, reason, action)
     if reason == NO_REASON:
         out[b, ACCEPTED] = 1.0
         out[b, REQUEST_COST] = e.cost
@@ -139,15 +144,15 @@ def step_env(world, b, action):
             reason = REJECTED_BY_POLICY
         else:
             reason = INVALID_ACTION
-        _finish(world, b, reason)
+        _finish(world, b, reason, action)
     elif action < 0 or action > reject or not world.seen.mask[b, action]:
-        _finish(world, b, INVALID_ACTION)
+        _finish(world, b, INVALID_ACTION, action)
     else:
         reason = _move(world, b, service, action)
         if reason != PASSES:
-            _finish(world, b, reason)
+            _finish(world, b, reason, action)
         elif e.node == e.egress and e.function == world.tables.chain_length[service]:
-            _finish(world, b, NO_REASON)
+            _finish(world, b, NO_REASON, action)
         else:
             show_request(world, b)
             write_mask(world, b)

@@ -162,14 +162,17 @@ class Simulator:
         self.make_room(*room)
 
     def make_room(self, records: int, entries: int, places: int) -> None:
-        """Enlarge what the next step could fill: it may end one walk, of at most J steps and 2 J reservations."""
+        """Enlarge what the next step could fill: it may end one walk, of at most J steps and 2 J reservations.
+
+        A rejected walk leaves one action more in the log, the one that was refused.
+        """
         steps = self.world.rules.max_steps
         if records < 1 or entries < 2 * steps:
             self.world = grow_pools(self.world)
         log = self.world.log
-        if log.enabled and places < steps:
+        if log.enabled and places <= steps:
             have = log.action.shape[1]
-            self.world = self.world._replace(log=log._replace(action=widen(log.action, have + max(have, steps))))
+            self.world = self.world._replace(log=log._replace(action=widen(log.action, have + max(have, steps + 1))))
 
     def _room(self, b: int) -> tuple[int, int, int]:
         """Free records, reservations and log places of environment b."""

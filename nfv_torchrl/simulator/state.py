@@ -122,7 +122,7 @@ class Log(NamedTuple):
     hops: np.ndarray  # int32 [B, R]
     interrupted_at: np.ndarray  # int32 [B, R], -1 if it was not
     start: np.ndarray  # int64 [B, R + 1], where a request's actions begin in ``action``
-    action: np.ndarray  # int32 [B, log]
+    action: np.ndarray  # int32 [B, log], of a rejected request with the one that ended it (-1: no action at all)
 
 
 class World(NamedTuple):

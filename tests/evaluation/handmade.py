@@ -16,7 +16,8 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
 
 Step = tuple[int, int, int | None]  # node, VM, function or None
-NO_REASON, NO_FEASIBLE_ACTION, REJECTED_BY_POLICY = -1, 4, 5
+NO_REASON, REJECTED_BY_POLICY, INVALID_ACTION = -1, 5, 6
+REJECT = -1
 LONGEST_WALK = 6
 
 
@@ -102,14 +103,15 @@ class FirstFit:
         """Answer every request; the rows in ``refuse`` are refused by policy, those in ``walks`` walk so unchecked."""
         forced = walks or {}
         size = len(self.workload)
-        accepted, reason = np.zeros(size, bool), np.full(size, NO_FEASIBLE_ACTION, np.int8)
+        # Whoever takes ``reject`` refuses where that is allowed; elsewhere it is no valid action while others are.
+        refusal = REJECTED_BY_POLICY if self.scenario.admission_control else INVALID_ACTION
+        accepted, reason = np.zeros(size, bool), np.full(size, refusal, np.int8)
         delay_ms, cost, hops = np.full(size, math.nan), np.full(size, math.nan), np.zeros(size, np.int64)
-        steps: list[list[Step]] = [[] for _ in range(size)]
+        steps: list[list[Step]] = [[(REJECT, 0, None)] for _ in range(size)]
         for slot in range(self.scenario.horizon):
             self.begin_slot(slot)
             for row in np.flatnonzero(self.workload.slot == slot).tolist():
                 if row in refuse:
-                    reason[row] = REJECTED_BY_POLICY
                     continue
                 service, ingress = int(self.workload.service[row]), int(self.workload.ingress[row])
                 chain = int(self.scenario.catalogue.chain_length[service])

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -368,6 +369,61 @@ def test_departing_too_early(tmp_path):
     assert "line 5 (slot 2) step 1: exceeds the capacity of VM 0 of node 1" in problems[0]
 
 
+# ---------------------------------------------------------------- why a request was rejected
+
+
+def reason_of(*tried: object, warm: int = 0, **changes) -> str:
+    """What the audit says to a duo from 0 to 3 that was rejected for nothing it knows, after ``warm`` others."""
+    names = {"catalogue": ROOMY, "admission_control": True, "mask": "adjacency"}
+    scenario = toy.toy_scenario(**(names | changes))
+    record = first_fit(
+        scenario,
+        toy.workload_of(*[(0, DUO, 0, 3, 2.0)] * (warm + 1)),
+        refuse=frozenset({warm}),
+        walks=dict.fromkeys(range(warm), A_AT_1),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / "run", record)
+        decisions = read_decisions(Path(folder) / "run")
+        decisions[warm] |= {"tried": list(tried), "reason": "no_feasible_action"}
+        write_decisions(Path(folder) / "run", decisions)
+        mine = [text for text in audit_run(Path(folder) / "run").problems if f"line {warm + 1} " in text]
+    return mine[0].partition("what it tried gives ")[2] or mine[0] if mine else "no_feasible_action"
+
+
+@pytest.mark.parametrize(
+    ("tried", "settings", "expected"),
+    [
+        ([[1, 0, 0]], {"warm": 4}, "vm_capacity"),  # four times 10 of the 40 Mcycles/s of VM 1.0
+        ([[1, 1, 0], [3, 1, 1]], {"warm": 4}, "vm_capacity"),  # and of the 80 of VM 3.1
+        ([[1, 1, 0], [3, 0, None]] * 1, {"warm": 0}, "passes every check"),
+        ([[1, 0, 0], [0, 0, 1], [2, 0, None], [3, 1, 1]], {}, "step 4 places function 1, it is at function 2"),
+        (["reject"], {}, "rejected_by_policy"),
+        (["reject"], {"admission_control": False}, "invalid_action"),
+        (["no action"], {}, "invalid_action"),
+        ([[3, 0, 0]], {}, "invalid_action"),  # no link 0-3
+        ([[1, 0, 0], [1, 1, 1]], {}, "invalid_action"),  # colocation is off
+        ([[1, 2, 0]], {}, "invalid_action"),  # node 1 has two VMs
+        ([[1, 0, None]], {"max_steps": 1}, "passes every check"),
+        ([[1, 0, None], [0, 0, None]], {"max_steps": 1}, "step_limit"),
+        ([[1, 0, 0], [0, 0, 1]], {"catalogue": toy.toy_catalogue(duo_delay=360)}, "delay"),
+        ([[1, 0, 0]], {"catalogue": toy.toy_catalogue(duo_delay=360), "mask": "feasible"}, "invalid_action"),
+        (["reject"], {"catalogue": toy.toy_catalogue(duo_delay=290), "mask": "feasible"}, "no_feasible_action"),
+        (["reject"], {"catalogue": toy.toy_catalogue(duo_delay=296), "mask": "feasible"}, "rejected_by_policy"),
+        ([[1, 0, 1]], {}, "places function 1, it is at function 0"),
+        ([[3, 0, 0], [1, 0, 0]], {}, r"step 1 is refused .*, yet more steps follow"),
+        ([[1, 0, 0], [0, 0, 1], "reject"], {}, "rejected_by_policy"),
+        ([[1, 0, 0], [2, 0, 1], [3, 0, None]], {}, "passes every check"),
+        ([], {}, "not the steps"),
+        ([[1, 0]], {}, "is no step"),
+        (["give up"], {}, "is no step"),
+    ],
+)  # fmt: skip
+def test_the_reason_follows_from_what_was_tried(tried, settings, expected):
+    found = reason_of(*tried, **settings)
+    assert found == expected if "_" in expected or expected == "delay" else re.search(expected, found)
+
+
 # ---------------------------------------------------------------- tampered other files
 
 OTHER_FILES = {
@@ -379,7 +435,7 @@ OTHER_FILES = {
     "speed altered": ("metrics.json", lambda d: d.update(decisions_per_second=1e6), "does not fit decision_seconds"),
     "time negative": ("metrics.json", lambda d: d.update(decision_seconds=-1), "decision_seconds is -1"),
     "admission control off": (
-        "scenario.json", lambda d: d.update(admission_control=False), "line 7 (slot 3): rejected_by_policy, but",
+        "scenario.json", lambda d: d.update(admission_control=False), "line 7 (slot 3): rejected for rejected_by",
     ),
     "failure removed": (
         "scenario.json", lambda d: d["failure_timeline"].pop(0), "slot 4: VM 1 of node 1 is working already",

@@ -31,11 +31,13 @@ def test_the_five_files(tmp_path):
     decisions = read_decisions(folder)
     assert decisions[1] == {
         "slot": 0, "service": "duo", "ingress": 0, "egress": 3, "lifetime": 1.5, "accepted": False,
-        "reason": "rejected_by_policy", "steps": [], "delay_ms": None, "cost": None, "interrupted_at": None,
+        "reason": "rejected_by_policy", "steps": [], "tried": ["reject"], "delay_ms": None, "cost": None,
+        "interrupted_at": None,
     }  # fmt: skip
     assert decisions[2] == {
         "slot": 1, "service": "solo", "ingress": 3, "egress": 0, "lifetime": 0.2, "accepted": True,
-        "reason": None, "steps": [[1, 1, 0], [0, 0, None]], "delay_ms": 960.0, "cost": 112.0, "interrupted_at": None,
+        "reason": None, "steps": [[1, 1, 0], [0, 0, None]], "tried": None, "delay_ms": 960.0, "cost": 112.0,
+        "interrupted_at": None,
     }  # fmt: skip
 
     document = json.loads((folder / "scenario.json").read_text())

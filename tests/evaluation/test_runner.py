@@ -88,6 +88,38 @@ def test_every_record_stands_up_to_the_audit(method, colocation, tmp_path):
         assert audit_run(folder).problems == []
 
 
+class Blind:
+    """Any index at all, now and then none that exists."""
+
+    decides_admission, one_hot = False, False
+
+    def __init__(self, mask):
+        self.name, self.mask = "blind", mask
+
+    def prepare(self, simulator, seeds):
+        self._rng = np.random.default_rng(seeds[0])
+
+    def act(self, simulator):
+        valid = [self._rng.choice(np.flatnonzero(row)) for row in simulator.world.seen.mask]
+        any_index = self._rng.integers(-2, simulator.num_actions + 2, simulator.batch_size)
+        return np.where(self._rng.random(simulator.batch_size) < 0.02, any_index, valid)
+
+
+@pytest.mark.parametrize("mask", ["adjacency", "feasible"])
+@pytest.mark.parametrize("admission_control", [False, True])
+def test_the_reason_of_every_rejection_is_audited(mask, admission_control, tmp_path):
+    changes = {"admission_control": admission_control, "max_steps": 8, "substrate": {"vm_capacity": (20.0, 60.0)}}
+    networks = [small_scenario(seed, nodes, **changes) for seed, nodes in ((0, 4), (1, 7))]
+    reasons = set()
+    for record in run_method(networks, Blind(mask), [0, 1]):
+        folder = write_run(tmp_path / str(record.workload_seed), record, compute_metrics(record))
+        assert audit_run(folder).problems == []
+        reasons |= set(record.reason[~record.accepted].tolist())
+    checks = {Reason.VM_CAPACITY, Reason.DELAY, Reason.STEP_LIMIT}
+    expected = {Reason.INVALID_ACTION} | (checks if mask == "adjacency" else {Reason.NO_FEASIBLE_ACTION})
+    assert reasons >= expected | ({Reason.REJECTED_BY_POLICY} if admission_control else set())
+
+
 def test_each_seed_may_have_a_network_of_its_own(tmp_path):
     networks = [small_scenario(seed, nodes) for seed, nodes in ((0, 4), (1, 7), (2, 5))]
     method = PlannerMethod(MyopicPlanner(), name="myopic_optimal")

@@ -142,4 +142,6 @@ def test_the_log_of_a_horizon_forgets_the_one_before():
     play(simulator, [toy.REJECT] * 2)
     assert log.interrupted_at[0, :2].tolist() == [-1, -1]
     assert np.isnan(log.cost[0, 0])
-    assert log.start[0, :3].tolist() == [0, 0, 0]
+    # A refused request leaves what it tried, here ``reject`` alone.
+    assert log.start[0, :3].tolist() == [0, 1, 2]
+    assert log.action[0, :2].tolist() == [toy.REJECT] * 2

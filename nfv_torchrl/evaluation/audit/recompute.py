@@ -6,7 +6,8 @@ import math
 from typing import Any
 
 from nfv_torchrl.evaluation.audit.files import RunFiles, is_number
-from nfv_torchrl.evaluation.audit.replay import REASONS, Answer, Replayed
+from nfv_torchrl.evaluation.audit.rejections import REASONS
+from nfv_torchrl.evaluation.audit.replay import Answer, Replayed
 
 TOLERANCE = 1e-7
 """Relative difference that a stated metric may have from the recomputed one."""

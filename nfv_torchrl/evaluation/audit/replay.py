@@ -8,23 +8,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from nfv_torchrl.evaluation.audit.files import Request, RunFiles, Service, is_index, is_number
+from nfv_torchrl.evaluation.audit.files import Request, RunFiles, is_index, is_number
+from nfv_torchrl.evaluation.audit.rejections import REASONS, Contradiction, Rejections
+from nfv_torchrl.evaluation.audit.rules import DELAY_TOLERANCE, Resource, rule_broken
 
 COST_TOLERANCE = 1e-9
 """Relative: costs are sums of the same products, in another order at most."""
-DELAY_TOLERANCE = 1e-6
-"""ms."""
 
 DECISION_KEYS = {
     "slot", "service", "ingress", "egress", "lifetime", "accepted", "reason", "steps", "delay_ms", "cost",
-    "interrupted_at",
+    "tried", "interrupted_at",
 }  # fmt: skip
-REASONS = (
-    "link_capacity", "vm_capacity", "delay", "step_limit", "no_feasible_action", "rejected_by_policy", "invalid_action",
-)  # fmt: skip
-
-Resource = tuple[str, int, int]
-"""("vm", node, index) or ("link", smaller end, larger end)."""
 
 
 class Event(NamedTuple):
@@ -112,6 +106,7 @@ class _Replay:
         self.users: dict[Resource, set[int]] = defaultdict(set)
         self.leaving: dict[int, list[int]] = defaultdict(list)
         self.in_use = {"vm": 0, "link": 0}
+        self.rejections = Rejections(files, lambda resource: 0 if resource in self.down else self.free[resource])
         self.done = Replayed()
 
     def run(self) -> Replayed:
@@ -216,29 +211,42 @@ class _Replay:
             self.problems.add(f"{where}: {_identity(decision)} is not the request of workload.csv line {index + 2}")
         answer.accepted, answer.reason = decision["accepted"] is True, decision["reason"]
         if not answer.accepted:
-            self._check_rejected(where, decision)
+            self._check_rejected(where, request, decision)
             return
         if answer.reason is not None:
             self.problems.add(f"{where}: accepted, yet with the reason {answer.reason!r}")
+        if decision["tried"] is not None:
+            self.problems.add(f"{where}: accepted, yet tried is not null")
         answer.walk = self._walk(where, request, decision["steps"])
         self._check_stated(where, request, decision, answer.walk)
         for resource, _ in answer.walk.uses:
             self.users[resource].add(index)
         self.leaving[request.departure].append(index)
 
-    def _check_rejected(self, where: str, decision: dict[str, Any]) -> None:
+    def _check_rejected(self, where: str, request: Request, decision: dict[str, Any]) -> None:
         reason = decision["reason"]
         if decision["accepted"] is not False:
             self.problems.add(f"{where}: accepted is neither true nor false")
         if reason not in REASONS:
             self.problems.add(f"{where}: rejected with the unknown reason {reason!r}")
-        elif reason == "rejected_by_policy" and not self.files.scenario["admission_control"]:
-            self.problems.add(f"{where}: rejected_by_policy, but admission_control is off")
+        else:
+            self._check_reason(where, request, decision)
         if decision["steps"] != []:
             self.problems.add(f"{where}: rejected, yet has steps")
         for key in ("delay_ms", "cost"):
             if decision[key] is not None:
                 self.problems.add(f"{where}: rejected, yet {key} is {decision[key]}")
+
+    def _check_reason(self, where: str, request: Request, decision: dict[str, Any]) -> None:
+        try:
+            possible = self.rejections.reasons(request, decision["tried"])
+        except Contradiction as error:
+            self.problems.add(f"{where}: tried {error}")
+            return
+        if decision["reason"] not in possible:
+            self.problems.add(
+                f"{where}: rejected for {decision['reason']}, what it tried gives {' or '.join(possible)}"
+            )
 
     def _check_stated(self, where: str, request: Request, decision: dict[str, Any], walk: Walk) -> None:
         cost, delay = decision["cost"], decision["delay_ms"]
@@ -260,7 +268,7 @@ class _Replay:
         for number, step in self._well_formed(where, steps):
             at = f"{where} step {number}"
             to, index, function = step
-            problem = self._rule_broken(request, service, node, placed, step)
+            problem = rule_broken(self.files, request, node, placed, step)
             if problem:
                 self.problems.add(f"{at}: {problem}")
             if to != node:
@@ -309,25 +317,6 @@ class _Replay:
                 self.problems.add(f"{where} step {number}: node {step[0]} has no VM {step[1]}")
                 return
             yield number, step
-
-    def _rule_broken(self, request: Request, service: Service, node: int, placed: int, step: list[Any]) -> str | None:
-        """What is wrong with going from ``node`` to ``step`` when ``placed`` functions are placed; None if nothing."""
-        to, _, function = step
-        chain = len(service.load)
-        if node == request.egress and placed == chain:
-            return "comes after the walk has ended at the egress"
-        if to == node and function is None:
-            return f"stays on node {node} and places nothing"
-        if to == node and node != request.egress and not self.files.scenario["colocation"]:
-            return f"places again on node {node}, but colocation is off"
-        if to != node and node == request.egress:
-            return f"leaves the egress {node}, where the walk has to end"
-        if to != node and (min(node, to), max(node, to)) not in self.files.links:
-            return f"there is no link between {node} and {to}"
-        if function is not None and (function != placed or placed == chain):
-            expected = f"function {placed} is next" if placed < chain else "all functions are placed"
-            return f"places function {function}, but {expected}"
-        return None
 
 
 def _name(resource: Resource) -> str:
