@@ -27,8 +27,11 @@ class NFVdeepEnv(NFVEnv):
         scenarios: as for ``NFVEnv``; reject is always possible in the simulator, so that a failed plan can be refused.
         batch_size: B.
         planner: how plans are made of decisions.
-        markup, relative: see ``Profit``.
-        stagger, segment, seed: as for ``NFVEnv``.
+        markup: see ``Profit``.
+        relative: see ``Profit``.
+        stagger: as for ``NFVEnv``.
+        segment: as for ``NFVEnv``.
+        seed: as for ``NFVEnv``.
 
     Keys: those of ``NFVEnv`` but for (shapes after the batch dimension)
         ``observation`` float32 [4 N + 4]: free VM capacity of each node and free capacity of its links, less what the
