@@ -8,6 +8,7 @@ from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureModel
+from nfv_torchrl.scenario.names import check_name
 from nfv_torchrl.scenario.services import PAPER_VNFS, ServiceType, paper_catalogue
 from nfv_torchrl.settings.values import parse_dataclass
 
@@ -100,7 +101,7 @@ class ScenarioConfig:
 def parse_config(config: Mapping[str, Any] | ScenarioConfig) -> ScenarioConfig:
     """A checked :class:`ScenarioConfig` from a plain mapping; missing keys take the paper's values.
 
-    ``services`` may be a mapping from names to types or a list of types that have a ``name``.
+    ``services`` may be a mapping from names to types or a list of types that have a ``name``; null is like a missing key.
 
     Raises:
         ScenarioError: an unknown key, or a value of the wrong kind or out of range.
@@ -110,26 +111,43 @@ def parse_config(config: Mapping[str, Any] | ScenarioConfig) -> ScenarioConfig:
     if not isinstance(config, Mapping):
         raise ScenarioError(f"scenario: is a {type(config).__name__}; a mapping of keys to values was expected")
     values = dict(config)
-    if "services" in values:
+    if values.get("services") is None:
+        values.pop("services", None)
+    else:
         values["services"] = _services(values["services"])
+    if isinstance(values.get("vnfs"), Mapping):
+        for name in values["vnfs"]:
+            check_name(name, "scenario.vnfs")
     return parse_dataclass(ScenarioConfig, values, "scenario")
 
 
 def _services(config: Any) -> dict[str, ServiceType]:
     where = "scenario.services"
     if isinstance(config, Mapping):
-        entries = [(str(name), service) for name, service in config.items()]
+        entries = list(config.items())
     elif isinstance(config, Sequence) and not isinstance(config, str):
         entries = [(service.get("name", "") if isinstance(service, Mapping) else "", service) for service in config]
     else:
         raise ScenarioError(f"{where}: is {config!r}; a mapping or list of services was expected")
     services: dict[str, ServiceType] = {}
-    for name, service in entries:
-        if isinstance(service, Mapping):
-            service = parse_dataclass(ServiceType, {"name": name, **service}, f"{where}.{name}")
-        if not isinstance(service, ServiceType):
-            raise ScenarioError(f"{where}.{name}: is {service!r}; give chain, rate, tolerable_delay and weight")
+    for name, entry in entries:
+        service = _service(name, entry, where)
         if service.name in services:
             raise ScenarioError(f"{where}: {service.name!r} is there twice; names must differ")
         services[service.name] = service
     return services
+
+
+def _service(name: Any, entry: Any, where: str) -> ServiceType:
+    """One service of a config; ``name`` is its key, or its own ``name`` in a list."""
+    if isinstance(entry, ServiceType):
+        return entry
+    check_name(name, where)
+    if not isinstance(entry, Mapping):
+        raise ScenarioError(f"{where}.{name}: is {entry!r}; give chain, rate, tolerable_delay and weight")
+    if name in _paper_services() and {*entry} <= {*ServiceType.__dataclass_fields__} and "chain" not in entry:
+        raise ScenarioError(
+            f"{where}.{name}.chain: is missing; a service of your own has chain, rate and tolerable_delay, and to change "
+            "single values of the paper's the scenario file needs `- services: paper` in its defaults"
+        )
+    return parse_dataclass(ServiceType, {"name": name, **entry}, f"{where}.{name}")

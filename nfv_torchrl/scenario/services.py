@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -9,11 +10,19 @@ from functools import cached_property
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.names import check_name
+from nfv_torchrl.scenario.numbers import check_number
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 
 PAPER_VNFS: dict[str, float] = {"NAT": 0.092, "FW": 0.09, "TM": 1.33, "VOC": 0.54, "IDPS": 1.07}
 """Processing requirement d of each VNF in cycles/bit: 100 times the per-user CPU shares of Savi et al., the source of
 the paper's service table."""
+
+LARGEST = 1e30
+"""Bound of delays and weights: beyond it sums and 32-bit numbers of observations overflow."""
+MOST_SERVICES = 1000
+NOT_IN_TAGS = re.compile(r"[^-/\w.]")
+"""Characters that TensorBoard's writer replaces by ``_``."""
 
 
 @dataclass(frozen=True)
@@ -38,19 +47,23 @@ class ServiceType:
     weight: float = 1.0
 
     def __post_init__(self) -> None:
+        check_name(self.name, "services")
+        where = f"services.{self.name}"
+        if isinstance(self.chain, str):
+            raise ScenarioError(f"{where}.chain: {self.chain!r} is text; give a list of VNF names")
         object.__setattr__(self, "chain", tuple(self.chain))
-        if not self.name:
-            raise ScenarioError("services: a service has an empty name; give it one")
         if not self.chain:
-            raise ScenarioError(f"services.{self.name}.chain: is empty; name at least one VNF")
+            raise ScenarioError(f"{where}.chain: is empty; name at least one VNF")
+        for vnf in self.chain:
+            check_name(vnf, f"{where}.chain")
+        for key in ("rate", "tolerable_delay", "weight"):
+            check_number(f"{where}.{key}", getattr(self, key))
         if not 1 / LEDGER_UNITS <= self.rate <= MAX_CAPACITY:
-            raise ScenarioError(f"services.{self.name}.rate: {self.rate} Mbit/s; use a number from 1e-6 to 1e9")
-        if not (np.isfinite(self.tolerable_delay) and self.tolerable_delay > 0):
-            raise ScenarioError(
-                f"services.{self.name}.tolerable_delay: {self.tolerable_delay} ms; use a positive number"
-            )
-        if not (np.isfinite(self.weight) and self.weight >= 0):
-            raise ScenarioError(f"services.{self.name}.weight: {self.weight}; use 0 or a positive number")
+            raise ScenarioError(f"{where}.rate: {self.rate} Mbit/s; use a number from 1e-6 to 1e9")
+        if not 0 < self.tolerable_delay <= LARGEST:
+            raise ScenarioError(f"{where}.tolerable_delay: {self.tolerable_delay} ms; use a positive number up to 1e30")
+        if not (self.weight == 0 or 1 / LARGEST <= self.weight <= LARGEST):
+            raise ScenarioError(f"{where}.weight: {self.weight}; use 0 or a positive number from 1e-30 to 1e30")
 
 
 @dataclass(frozen=True)
@@ -71,18 +84,27 @@ class ServiceCatalogue:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "types", tuple(self.types))
-        if not self.types:
-            raise ScenarioError("services: there are none; define at least one service")
-        names = self.names
-        if len(set(names)) != len(names):
-            raise ScenarioError(f"services: two have one name in {list(names)}; names must differ")
+        if not 1 <= len(self.types) <= MOST_SERVICES:
+            raise ScenarioError(f"services: there are {len(self.types) or 'none'}; define 1 to {MOST_SERVICES} services")
+        self._check_names()
         if not any(service.weight > 0 for service in self.types):
             raise ScenarioError("services: all weights are 0, so nothing could arrive; raise at least one weight")
         self._check_vnfs()
 
+    def _check_names(self) -> None:
+        """Names must differ, and so must the TensorBoard tags that they become."""
+        tags: dict[str, str] = {}
+        for name in self.names:
+            tag = NOT_IN_TAGS.sub("_", name)
+            if tag in tags:
+                raise ScenarioError(f"services: {tags[tag]!r} and {name!r} have the one tag {tag!r}; names must differ")
+            tags[tag] = name
+
     def _check_vnfs(self) -> None:
         for vnf, requirement in self.vnfs.items():
-            if not (np.isfinite(requirement) and requirement > 0):
+            check_name(vnf, "vnfs")
+            check_number(f"vnfs.{vnf}", requirement)
+            if not requirement > 0:
                 raise ScenarioError(f"vnfs.{vnf}: {requirement} cycles/bit; use a positive number")
         for service in self.types:
             for vnf in service.chain:
