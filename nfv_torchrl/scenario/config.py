@@ -101,7 +101,8 @@ class ScenarioConfig:
 def parse_config(config: Mapping[str, Any] | ScenarioConfig) -> ScenarioConfig:
     """A checked :class:`ScenarioConfig` from a plain mapping; missing keys take the paper's values.
 
-    ``services`` may be a mapping from names to types or a list of types that have a ``name``; null is like a missing key.
+    ``services`` may be a mapping from names to types or a list of types that have a ``name``; null stands for the
+    paper's.
 
     Raises:
         ScenarioError: an unknown key, or a value of the wrong kind or out of range.
@@ -147,7 +148,7 @@ def _service(name: Any, entry: Any, where: str) -> ServiceType:
         raise ScenarioError(f"{where}.{name}: is {entry!r}; give chain, rate, tolerable_delay and weight")
     if name in _paper_services() and {*entry} <= {*ServiceType.__dataclass_fields__} and "chain" not in entry:
         raise ScenarioError(
-            f"{where}.{name}.chain: is missing; a service of your own has chain, rate and tolerable_delay, and to change "
-            "single values of the paper's the scenario file needs `- services: paper` in its defaults"
+            f"{where}.{name}.chain: is missing; a service of your own has chain, rate and tolerable_delay, and to "
+            "change single values of the paper's the scenario file needs `- services: paper` in its defaults"
         )
     return parse_dataclass(ServiceType, {"name": name, **entry}, f"{where}.{name}")

@@ -13,8 +13,8 @@ def check_name(name: Any, where: str) -> None:
     """Refuse what is no name: text of 1 to 100 printable characters without blanks around it and without ``/``.
 
     CSV files are read with blanks around a name dropped, a line break would end a table's row, and ``/`` separates the
-    parts of a metric's name (``aar/web``) and of a TensorBoard tag. YAML reads a bare ``no``, ``off``, ``yes`` or ``on``
-    as true or false.
+    parts of a metric's name (``aar/web``) and of a TensorBoard tag. YAML reads a bare ``no``, ``off``, ``yes`` or
+    ``on`` as true or false.
 
     Raises:
         ScenarioError: ``name`` is not of that form; the message begins with ``where``.
@@ -27,6 +27,8 @@ def check_name(name: Any, where: str) -> None:
     if name != name.strip():
         raise ScenarioError(f"{where}: the name {name!r} has blanks around it; remove them")
     if len(name) > LONGEST_NAME:
-        raise ScenarioError(f"{where}: the name {name[:20]!r}... has {len(name)} characters; use at most {LONGEST_NAME}")
+        raise ScenarioError(
+            f"{where}: the name {name[:20]!r}... has {len(name)} characters; use at most {LONGEST_NAME}"
+        )
     if "/" in name or not name.isprintable():
         raise ScenarioError(f"{where}: the name {name!r} has a '/' or a character that is not printable; remove it")

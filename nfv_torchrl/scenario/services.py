@@ -11,8 +11,8 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.names import check_name
-from nfv_torchrl.scenario.numbers import check_number
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
+from nfv_torchrl.settings.values import parse
 
 PAPER_VNFS: dict[str, float] = {"NAT": 0.092, "FW": 0.09, "TM": 1.33, "VOC": 0.54, "IDPS": 1.07}
 """Processing requirement d of each VNF in cycles/bit: 100 times the per-user CPU shares of Savi et al., the source of
@@ -57,7 +57,7 @@ class ServiceType:
         for vnf in self.chain:
             check_name(vnf, f"{where}.chain")
         for key in ("rate", "tolerable_delay", "weight"):
-            check_number(f"{where}.{key}", getattr(self, key))
+            object.__setattr__(self, key, parse(getattr(self, key), float, f"{where}.{key}"))
         if not 1 / LEDGER_UNITS <= self.rate <= MAX_CAPACITY:
             raise ScenarioError(f"{where}.rate: {self.rate} Mbit/s; use a number from 1e-6 to 1e9")
         if not 0 < self.tolerable_delay <= LARGEST:
@@ -85,7 +85,9 @@ class ServiceCatalogue:
     def __post_init__(self) -> None:
         object.__setattr__(self, "types", tuple(self.types))
         if not 1 <= len(self.types) <= MOST_SERVICES:
-            raise ScenarioError(f"services: there are {len(self.types) or 'none'}; define 1 to {MOST_SERVICES} services")
+            raise ScenarioError(
+                f"services: there are {len(self.types) or 'none'}; define 1 to {MOST_SERVICES} services"
+            )
         self._check_names()
         if not any(service.weight > 0 for service in self.types):
             raise ScenarioError("services: all weights are 0, so nothing could arrive; raise at least one weight")
@@ -103,7 +105,7 @@ class ServiceCatalogue:
     def _check_vnfs(self) -> None:
         for vnf, requirement in self.vnfs.items():
             check_name(vnf, "vnfs")
-            check_number(f"vnfs.{vnf}", requirement)
+            parse(requirement, float, f"vnfs.{vnf}")
             if not requirement > 0:
                 raise ScenarioError(f"vnfs.{vnf}: {requirement} cycles/bit; use a positive number")
         for service in self.types:

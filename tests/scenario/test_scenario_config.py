@@ -93,6 +93,68 @@ def test_every_number_can_be_overridden():
     assert scenario.failures.p_repair == 0.5
 
 
+def own_scenario(folder: Path, text: str, *overrides: str) -> Scenario:
+    """What a scenario file of one's own says, in a folder that Hydra searches besides."""
+    (folder / "scenario").mkdir()
+    (folder / "scenario" / "own.yaml").write_text(text)
+    return composed(f"hydra.searchpath=[{folder.as_uri()}]", "+scenario=own", *overrides)
+
+
+OWN = """
+defaults: [_base, _self_]
+name: own
+services:
+  gold: {chain: [FW, NAT], rate: 10, tolerable_delay: 50}
+"""
+
+
+def test_own_services_replace_the_papers(tmp_path):
+    assert own_scenario(tmp_path, OWN).catalogue.names == ("gold",)
+
+
+def test_own_services_can_be_overridden_and_added_to(tmp_path):
+    silver = "+scenario.services.silver={chain:[FW],rate:1,tolerable_delay:9}"
+    catalogue = own_scenario(tmp_path, OWN, "scenario.services.gold.rate=3", silver).catalogue
+    assert dict(zip(catalogue.names, catalogue.rate.tolist(), strict=True)) == {"gold": 3.0, "silver": 1.0}
+
+
+def test_a_file_without_services_has_the_papers(tmp_path):
+    scenario = own_scenario(tmp_path, "defaults: [_base, _self_]\nname: own\n")
+    assert scenario.catalogue == paper_scenario().catalogue
+
+
+def test_a_file_may_take_the_papers_services_and_change_one(tmp_path):
+    text = "defaults: [_base, services: paper, _self_]\nservices: {web: {rate: 5}}\n"
+    catalogue = own_scenario(tmp_path, text, "~scenario.services.voip").catalogue
+    assert dict(zip(catalogue.names, catalogue.rate.tolist(), strict=True)) == {"web": 5.0, "video": 4.0}
+
+
+def test_changing_a_service_that_is_not_there_says_how(tmp_path):
+    with pytest.raises(ScenarioError, match=r"services.web.chain: is missing; .* `- services: paper` in its defaults"):
+        own_scenario(tmp_path, OWN, "+scenario.services.web.rate=5")
+
+
+@pytest.mark.parametrize(
+    ("yaml", "message"),
+    [
+        ('services: {"gold ": {chain: [FW], rate: 1, tolerable_delay: 9}}', "'gold ' has blanks around it"),
+        ("services: {no: {chain: [FW], rate: 1, tolerable_delay: 9}}", "False is no name .*quotes"),
+        ("services: {a: {chain: [no], rate: 1, tolerable_delay: 9}}", r"a.chain\[0\]: False where text"),
+        ("vnfs: {on: 1}", "scenario.vnfs: True is no name"),
+        ("services: {1: {chain: [FW], rate: 1, tolerable_delay: 9}}", "1 is no name; .*quotes"),
+        ('services: {"": {chain: [FW], rate: 1, tolerable_delay: 9}}', "empty name"),
+        ('services: {"a/b": {chain: [FW], rate: 1, tolerable_delay: 9}}', "has a '/'"),
+        ('services: {"a\\nb": {chain: [FW], rate: 1, tolerable_delay: 9}}', "not printable"),
+        ("services: {a: {chain: [FW], rate: .nan, tolerable_delay: 9}}", "a.rate: nan where a finite number"),
+        ('services: {a: {chain: [FW], rate: "1", tolerable_delay: 9}}', "a.rate: '1' where a finite number"),
+        ("colocation: maybe", "colocation: 'maybe' where true or false"),
+    ],
+)
+def test_names_and_words_of_yaml(tmp_path, yaml, message):
+    with pytest.raises(ScenarioError, match=message):
+        own_scenario(tmp_path, f"defaults: [_base, _self_]\n{yaml}\n")
+
+
 def test_hydra_refuses_an_unknown_key():
     with pytest.raises(HydraException, match="lamda"):
         composed("+scenario=paper", "scenario.lamda=3")

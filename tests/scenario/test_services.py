@@ -65,3 +65,28 @@ def test_refuses_a_type(changes, message):
 def test_refuses_a_catalogue(types, vnfs, message):
     with pytest.raises(ScenarioError, match=message):
         ServiceCatalogue(tuple(ServiceType(name, (vnf,), 1.0, 1.0, weight) for name, vnf, weight in types), vnfs)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": " a"}, "has blanks around it"),
+        ({"name": None}, "None is no name"),
+        ({"name": "x" * 101}, "has 101 characters"),
+        ({"chain": "NAT"}, "services.a.chain: 'NAT' is text; give a list"),
+        ({"chain": ("NAT", 3)}, "services.a.chain: 3 is no name"),
+        ({"rate": "1"}, "services.a.rate: '1' where a finite number"),
+        ({"weight": True}, "services.a.weight: True where a finite number"),
+        ({"weight": 1e200}, "services.a.weight: 1e\\+200; use 0 or"),
+        ({"tolerable_delay": 1e200}, "services.a.tolerable_delay: 1e\\+200 ms"),
+    ],
+)
+def test_refuses_values_from_python(changes, message):
+    with pytest.raises(ScenarioError, match=message):
+        ServiceType(**{"name": "a", "chain": ("NAT",), "rate": 1.0, "tolerable_delay": 9.0, **changes})
+
+
+def test_names_that_become_one_tensorboard_tag():
+    types = tuple(ServiceType(name, ("NAT",), 1.0, 9.0) for name in ("a b", "a_b"))
+    with pytest.raises(ScenarioError, match="'a b' and 'a_b' have the one tag 'a_b'"):
+        ServiceCatalogue(types)
