@@ -12,7 +12,6 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from hydra.utils import instantiate
-from numba import njit
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -25,6 +24,7 @@ from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.compiled import kernel
 
 
 class Method(Protocol):
@@ -54,7 +54,7 @@ class Method(Protocol):
         """The next action of every environment, int64 [B]; it does not matter for one past its horizon."""
 
 
-@njit(cache=True)
+@kernel
 def pick_uniform(env, valid, states, actions):
     """One of the valid actions of every environment; ``states`` uint64 [B] (xorshift, never 0) are advanced."""
     for b in range(actions.size):

@@ -7,15 +7,24 @@ inside" a rule that Numba checks: a function that would allocate does not compil
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import logging
+import os
+import pickle
 import re
+import stat
+import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+import numpy as np
+from numba import config, njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+log = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parents[1]
 IMPORT = re.compile(rf"^from ({PACKAGE.name}[\w.]*) import ([\w, ]*)", re.MULTILINE)
 
@@ -38,17 +47,100 @@ def inlined(function: Callable[..., Any]) -> Any:
     return _compiled(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
+def records(count: int, dtype: np.dtype) -> np.ndarray:
+    """``count`` zeroed records, whose fields are attributes where Numba is switched off (NUMBA_DISABLE_JIT), too."""
+    made = np.zeros(count, dtype)
+    return made.view(np.recarray) if config.DISABLE_JIT else made
+
+
 def _compiled(function: Callable[..., Any], **options: bool) -> Any:
-    """Compile with a cache on disk that is stale as soon as one of the modules it was compiled from has changed.
+    made = njit(_nrt=False, **options)(function)
+    if made is not function:  # it is where Numba is switched off
+        kept = _cache_for(function)
+        if kept is not None:
+            made._cache = kept
+    return made
+
+
+class KernelFile(IndexDataCacheFile):
+    """Cache files whose compiled code ends with its checksum: damaged machine code is not to be run."""
+
+    def _dump(self, content: Any) -> bytes:
+        data = super()._dump(content)
+        return data + hashlib.sha256(data).digest()  # reading a pickle stops at its end
+
+    def _load_data(self, name: str) -> Any:
+        data = Path(self._data_path(name)).read_bytes()
+        size = hashlib.sha256().digest_size
+        if hashlib.sha256(data[:-size]).digest() != data[-size:]:
+            raise pickle.UnpicklingError(f"{name} is damaged")
+        return pickle.loads(data)
+
+
+class KernelCache(FunctionCache):
+    """Numba's cache on disk, stale as soon as one of the modules that a function was compiled from has changed.
 
     Numba itself looks at the function's own file only, while what it caches also holds the compiled code of functions
-    called and the constants read from other modules: a changed rule would go on unchanged.
+    called and the constants read from other modules: a changed rule would go on unchanged. And whatever is wrong with
+    the files costs a compilation here, not the run.
+
+    Raises:
+        RuntimeError: Numba finds no folder that it may write to.
     """
-    made = njit(cache=True, _nrt=False, **options)(function)
-    cached = getattr(getattr(made, "_cache", None), "_cache_file", None)  # none where Numba is switched off
-    if cached is not None:
-        cached._source_stamp = (cached._source_stamp, source_stamp(Path(function.__code__.co_filename)))
-    return made
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        stamp = (self._impl.locator.get_source_stamp(), source_stamp(Path(function.__code__.co_filename)))
+        self._cache_file = KernelFile(self._cache_path, self._impl.filename_base, stamp)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled code, or None if it is not there or cannot be read."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # whatever reading a damaged file raises
+            with contextlib.suppress(OSError):
+                Path(self._cache_file._index_path).unlink(missing_ok=True)
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep compiled code, if there is room for it."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            _warn_once(f"compiled code cannot be kept in {self.cache_path} ({error.strerror})")
+
+
+def _cache_for(function: Callable[..., Any]) -> KernelCache | None:
+    """A cache beside the source or in the user's home; else in the temporary folder; else none."""
+    with contextlib.suppress(RuntimeError):
+        return KernelCache(function)
+    folder = _temporary_folder()
+    if folder is None:
+        _warn_once("there is no folder to keep compiled code in, so it is compiled anew each time")
+        return None
+    _warn_once(f"compiled code is kept in {folder}, because neither the package's folder nor HOME can be written to")
+    # In the environment, where child processes find it.
+    os.environ["NUMBA_CACHE_DIR"] = config.CACHE_DIR = str(folder)
+    with contextlib.suppress(RuntimeError):
+        return KernelCache(function)
+    return None
+
+
+def _temporary_folder() -> Path | None:
+    """A folder that only this user can write to: what lies in it will be run."""
+    try:
+        folder = Path(tempfile.gettempdir()) / f"nfv_torchrl_{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        about = folder.lstat()
+    except OSError:
+        return None
+    private = stat.S_ISDIR(about.st_mode) and about.st_uid == os.getuid() and not stat.S_IMODE(about.st_mode) & 0o022
+    return folder if private else None
+
+
+@cache
+def _warn_once(what: str) -> None:
+    log.warning("warning: %s; set NUMBA_CACHE_DIR to a folder of your own", what)
 
 
 @cache

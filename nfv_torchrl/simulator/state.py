@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nfv_torchrl.simulator.compiled import records
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 ENV_DTYPE = np.dtype(
@@ -194,7 +195,7 @@ def new_world(
     links = tables.link_capacity.shape[1]
     services, functions = tables.load.shape
     actions = 2 * nodes * vms + 1
-    env = np.zeros(batch, ENV_DTYPE)
+    env = records(batch, ENV_DTYPE)
     env["net"], env["horizon"], env["warmup"] = net, horizon, warmup
     return World(
         tables=tables,

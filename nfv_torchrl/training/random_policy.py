@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numba import njit
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.simulator.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def pick_from_mask(mask, states, actions):
     """A uniformly random True of each row of ``mask`` bool [B, A]; ``states`` uint64 [B] (xorshift) are advanced."""
     for b in range(mask.shape[0]):

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from nfv_torchrl.simulator import compiled, kernels
 
 CONSTANT = "from house.simulator.compiled import part\nLEVEL = {level}\n@part\ndef level():\n    return LEVEL\n"
@@ -16,22 +18,87 @@ CALLER = (
 RUN = "from house.simulator.high import twice; print(twice(), sum(twice.stats.cache_hits.values()))"
 
 
+def run(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """What ``twice`` returned and whether it came from the cache, printed in a process of its own."""
+    environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"} | environment
+    return subprocess.run([sys.executable, "-c", RUN], cwd=folder, env=environment, capture_output=True, text=True)
+
+
 def call(folder: Path) -> list[str]:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")}
-    answer = subprocess.run([sys.executable, "-c", RUN], cwd=folder, env=environment, capture_output=True, check=True)
-    return answer.stdout.decode().split()
+    answer = run(folder, NUMBA_CACHE_DIR=str(folder / "cache"))
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout.split()
 
 
-def test_change_in_a_module_below_compiles_anew(tmp_path: Path) -> None:
+@pytest.fixture
+def house(tmp_path: Path) -> Path:
+    """A package with two kernels."""
     package = tmp_path / "house" / "simulator"
     package.mkdir(parents=True)
     shutil.copy(compiled.__file__, package)
     (package / "high.py").write_text(CALLER)
     (package / "low.py").write_text(CONSTANT.format(level=1))
-    assert call(tmp_path) == ["2", "0"]
-    assert call(tmp_path) == ["2", "1"]
-    (package / "low.py").write_text(CONSTANT.format(level=2))
-    assert call(tmp_path) == ["4", "0"]
+    return tmp_path
+
+
+def test_change_in_a_module_below_compiles_anew(house: Path) -> None:
+    assert call(house) == ["2", "0"]
+    assert call(house) == ["2", "1"]
+    (house / "house" / "simulator" / "low.py").write_text(CONSTANT.format(level=2))
+    assert call(house) == ["4", "0"]
+
+
+def flipped(data: bytes) -> bytes:
+    """One bit of machine code changed."""
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+
+
+def test_a_damaged_cache_file_is_compiled_anew(house: Path) -> None:
+    assert call(house) == ["2", "0"]
+    damages = [("nbi", lambda data: data[:20]), ("nbi", lambda data: b""), ("nbc", lambda data: data[:200]),
+               ("nbc", flipped)]  # fmt: skip
+    for ending, damage in damages:
+        files = list((house / "cache").rglob(f"*twice*.{ending}"))
+        assert files
+        for file in files:
+            file.write_bytes(damage(file.read_bytes()))
+        assert call(house) == ["2", "0"]
+    assert call(house) == ["2", "1"]
+
+
+def test_without_a_writable_cache_it_runs_and_says_so_once(house: Path) -> None:
+    (house / "house" / "simulator" / "__pycache__").write_text("no folder can be made here")
+    temporary = house / "tmp"
+    temporary.mkdir()
+    for hits in ("0", "1"):
+        done = run(house, HOME="/dev/null", TMPDIR=str(temporary), XDG_CACHE_HOME="/dev/null")
+        assert done.stdout.split() == ["2", hits]
+        assert len(done.stderr.splitlines()) == 1 and "set NUMBA_CACHE_DIR" in done.stderr
+    # A folder that others can write to is not trusted: what lies in it would be run.
+    next(temporary.iterdir()).chmod(0o777)
+    done = run(house, HOME="/dev/null", TMPDIR=str(temporary), XDG_CACHE_HOME="/dev/null")
+    assert done.stdout.split() == ["2", "0"] and "compiled anew each time" in done.stderr
+
+
+def test_without_compilation_the_same_steps_are_taken() -> None:
+    script = (
+        "import torch; from nfv_torchrl.env import NFVEnv; from nfv_torchrl.scenario import paper_scenario; "
+        "from nfv_torchrl.training.random_policy import RandomPolicy; "
+        "steps = NFVEnv(paper_scenario(horizon=3), 2).rollout(9, RandomPolicy()); "
+        "print(tuple(steps.shape), float(steps['next', 'observation'].double().sum()))"
+    )
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "NUMBA_DISABLE_JIT": switch},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for switch in "01"
+    ]
+    assert printed[0] == printed[1] and printed[0].startswith("(2, 9)")
 
 
 def test_kernels_are_stamped_with_their_sources() -> None:
