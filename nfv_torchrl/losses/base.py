@@ -145,6 +145,9 @@ class MaskedLoss(Acting, LossModule):
     def outputs(self, name: str, tensordict: TensorDictBase, *, target: bool = False) -> Tensor:
         """What network ``name`` returns for the state in ``tensordict``, [batch, A] or [batch, A, outputs]."""
         params = getattr(self, f"target_{name}_params" if target else f"{name}_params")
+        if target:
+            # `to_module` would leave the target network's own tensors marked as requiring a gradient.
+            params = params.data
         network = getattr(self, name)
         inputs = [tensordict.get(key) for key in self.network_keys]
         with params.to_module(network):

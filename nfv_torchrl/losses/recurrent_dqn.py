@@ -117,7 +117,7 @@ class RecurrentDQN(MaskedLoss):
         values = self._values(tensordict, self.value_network_params)
         chosen = values[:, :-1].gather(-1, tensordict.get("action")[:, k:].unsqueeze(-1)).squeeze(-1)
         with torch.no_grad():
-            target = self._values(tensordict, self.target_value_network_params)[:, 1:]
+            target = self._values(tensordict, self.target_value_network_params.data)[:, 1:]
             best = (values[:, 1:] if self.double else target).argmax(-1, keepdim=True)
             ahead = self.gamma * ~tensordict.get("stop")[:, k:] * target.gather(-1, best).squeeze(-1)
             target_value = tensordict.get("reward")[:, k:] + ahead
