@@ -88,8 +88,10 @@ def read_run_folder(folder: str | os.PathLike[str]) -> RunFolder:
     except ScenarioError as error:
         raise ScenarioError(f"{path}: {error}") from error
     requests = Path(folder) / "workload.csv"
-    # Of few slots a sampled workload may be empty.
-    workload = Workload.from_csv(requests, scenario.catalogue, substrate, scenario.horizon, allow_empty=True)
+    # Of few slots a sampled workload may be empty. Older folders do not say in the header that nodes are indices.
+    workload = Workload.from_csv(
+        requests, scenario.catalogue, substrate, scenario.horizon, allow_empty=True, numbers_are_indices=True
+    )
     if data["workload_path"] is not None:
         scenario = scenario.replace(workload_path=str(requests))
     return RunFolder(scenario, workload, timeline, data["method"], data["seeds"].get("workload"))

@@ -57,7 +57,7 @@ class ServiceType:
         for vnf in self.chain:
             check_name(vnf, f"{where}.chain")
         for key in ("rate", "tolerable_delay", "weight"):
-            object.__setattr__(self, key, parse(getattr(self, key), float, f"{where}.{key}"))
+            parse(getattr(self, key), float, f"{where}.{key}")
         if not 1 / LEDGER_UNITS <= self.rate <= MAX_CAPACITY:
             raise ScenarioError(f"{where}.rate: {self.rate} Mbit/s; use a number from 1e-6 to 1e9")
         if not 0 < self.tolerable_delay <= LARGEST:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,14 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.files import read_text, write_atomically
+from nfv_torchrl.scenario.request_file import Columns, read_columns, write_columns
 
 if TYPE_CHECKING:
     from nfv_torchrl.scenario.scenario import Scenario
     from nfv_torchrl.scenario.services import ServiceCatalogue
     from nfv_torchrl.scenario.substrate import Substrate
 
-HEADER = ("slot", "service", "ingress", "egress", "lifetime")
 LONGEST_STAY = 2**40
 """Slots after which any request leaves; more than any horizon, little enough to add without overflow."""
 
@@ -41,6 +37,41 @@ class Workload:
     ingress: np.ndarray
     egress: np.ndarray
     lifetime: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in Columns._fields:
+            kind = np.float64 if name == "lifetime" else np.int64
+            column = np.asarray(getattr(self, name))
+            if column.shape != (len(self.slot),) or (len(column) and not np.can_cast(column.dtype, kind, "same_kind")):
+                raise ScenarioError(f"workload: {name} is {column.dtype} {list(column.shape)}; use {kind.__name__} [R]")
+            object.__setattr__(self, name, column.astype(kind, copy=False))
+        if not len(self):
+            return
+        if self.slot[0] < 0 or np.any(np.diff(self.slot) < 0):
+            raise ScenarioError("workload: slots must be 0 or more and never decrease; sort the requests by slot")
+        if min(self.service.min(), self.ingress.min(), self.egress.min()) < 0 or np.any(self.ingress == self.egress):
+            raise ScenarioError("workload: service, ingress and egress are indices from 0; ingress and egress differ")
+        if not (self.lifetime.min() > 0 and np.isfinite(self.lifetime.max())):
+            raise ScenarioError("workload: a lifetime is not a positive, finite number of seconds; correct it")
+
+    def check_fits(self, services: int, nodes: int, horizon: int) -> None:
+        """Refuse requests that a world of these sizes does not know.
+
+        Raises:
+            ScenarioError: a service, node or slot is out of its range.
+        """
+        if not len(self):
+            return
+        nodes_named = max(self.ingress.max(), self.egress.max()) + 1
+        for what, found, there in (
+            ("service", self.service.max() + 1, services),
+            ("node", nodes_named, nodes),
+            ("slot", self.slot[-1] + 1, horizon),
+        ):
+            if found > there:
+                raise ScenarioError(
+                    f"workload: {what} {found - 1} is outside 0 .. {there - 1}; give a workload made for this scenario"
+                )
 
     def __len__(self) -> int:
         return len(self.slot)
@@ -71,14 +102,11 @@ class Workload:
         return cls(slot, service.astype(np.int64), ingress, egress, lifetime)
 
     def to_csv(self, path: str | os.PathLike[str], catalogue: ServiceCatalogue) -> None:
-        """Write ``slot,service,ingress,egress,lifetime``; services by name, lifetimes (s) with all their digits."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(HEADER)
-        names = [catalogue.names[service] for service in self.service]
-        columns = (self.slot.tolist(), names, self.ingress.tolist(), self.egress.tolist(), self.lifetime.tolist())
-        writer.writerows(zip(*columns, strict=True))
-        write_atomically(path, text.getvalue())
+        """Write ``slot,service,ingress_index,egress_index,lifetime``; lifetimes (s) with all their digits.
+
+        Indices are the substrate's, 0 .. N-1; the header says so, because in other files a number is a node's id.
+        """
+        write_columns(path, Columns(*(getattr(self, name) for name in Columns._fields)), catalogue)
 
     @classmethod
     def from_csv(
@@ -89,31 +117,20 @@ class Workload:
         horizon: int,
         *,
         allow_empty: bool = False,
+        numbers_are_indices: bool = False,
     ) -> Workload:
-        """Read what :meth:`to_csv` wrote, or anyone's file of that form.
+        """Read what :meth:`to_csv` wrote, or ``slot,service,ingress,egress,lifetime`` with nodes by id or label.
+
+        See :func:`nfv_torchrl.scenario.request_file.read_columns` for the arguments.
 
         Raises:
             ScenarioError: a line does not fit the form, the services, the nodes or the horizon; the message names file,
                 line and remedy. A file without requests is refused unless ``allow_empty``.
         """
-        reader = csv.reader(io.StringIO(read_text(path), newline=""))
-        services = {name: index for index, name in enumerate(catalogue.names)}
-        rows: list[tuple[int, int, int, int, float]] = []
-        try:
-            if tuple(name.strip() for name in next(reader, ())) != HEADER:
-                raise ScenarioError(f"{path}, line 1: the header must be {','.join(HEADER)}; add or correct it")
-            for row in reader:
-                if row:
-                    where = f"{path}, line {reader.line_num}"
-                    rows.append(_parse_row(row, where, services, substrate.num_nodes, horizon))
-                    if len(rows) > 1 and rows[-1][0] < rows[-2][0]:
-                        raise ScenarioError(f"{where}: slot {rows[-1][0]} follows {rows[-2][0]}; sort lines by slot")
-        except csv.Error as error:
-            raise ScenarioError(f"{path}, line {reader.line_num}: is not CSV ({error}); correct that line") from error
-        if not rows and not allow_empty:
-            raise ScenarioError(f"{path}: holds no requests; add at least one line below the header")
-        slot, service, ingress, egress = np.array([row[:4] for row in rows], np.int64).reshape(-1, 4).T.copy()
-        return cls(slot, service, ingress, egress, np.array([row[4] for row in rows], np.float64))
+        columns = read_columns(
+            path, catalogue, substrate, horizon, allow_empty=allow_empty, numbers_are_indices=numbers_are_indices
+        )
+        return cls(*columns)
 
 
 def _split(rng: np.random.Generator, count: int) -> list[np.random.Generator]:
@@ -139,37 +156,3 @@ def decode_pairs(code: np.ndarray, substrate: Substrate) -> tuple[np.ndarray, np
     """Ingress and egress of pair number ``code``, 0 .. N (N - 1) - 1, as int64 of the same shape."""
     ingress, egress = np.divmod(code, substrate.num_nodes - 1)
     return ingress, egress + (egress >= ingress)
-
-
-def _parse_row(
-    row: list[str], where: str, services: dict[str, int], nodes: int, horizon: int
-) -> tuple[int, int, int, int, float]:
-    """Slot, service index, ingress, egress and lifetime of one line of a file."""
-    if len(row) != len(HEADER):
-        raise ScenarioError(f"{where}: has {len(row)} fields; {','.join(HEADER)} are needed")
-    slot = _integer(row[0], f"{where}: slot")
-    if not 0 <= slot < horizon:
-        raise ScenarioError(f"{where}: slot {slot} is outside 0 .. {horizon - 1}; correct it or change the horizon")
-    name = row[1].strip()
-    if name not in services:
-        raise ScenarioError(f"{where}: unknown service {name!r}; define it under services or use one of {[*services]}")
-    ingress, egress = (_integer(row[place], f"{where}: {HEADER[place]}") for place in (2, 3))
-    for node in (ingress, egress):
-        if not 0 <= node < nodes:
-            raise ScenarioError(f"{where}: unknown node {node}; the substrate's nodes are 0 .. {nodes - 1}")
-    if ingress == egress:
-        raise ScenarioError(f"{where}: ingress and egress are both {ingress}; they must differ")
-    try:
-        lifetime = float(row[4])
-    except ValueError:
-        lifetime = math.nan
-    if not (math.isfinite(lifetime) and lifetime > 0):
-        raise ScenarioError(f"{where}: lifetime {row[4]!r}; use a positive number of seconds")
-    return slot, services[name], ingress, egress, lifetime
-
-
-def _integer(text: str, where: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise ScenarioError(f"{where} is {text!r}; use an integer") from None

@@ -186,6 +186,8 @@ class Simulator:
 
     def load_arrivals(self, b: int, workload: Workload, timeline: FailureTimeline | None) -> None:
         """Write the requests and failures of environment b's horizon without starting it."""
+        scenario = self.scenario(b)
+        workload.check_fits(len(scenario.catalogue.types), scenario.substrate.num_nodes, scenario.horizon)
         requests = len(workload.slot)
         events = 0 if timeline is None else len(timeline.slot)
         self._widen_arrivals(requests, events)
@@ -194,7 +196,7 @@ class Simulator:
         arrivals.service[b, :requests] = workload.service
         arrivals.ingress[b, :requests] = workload.ingress
         arrivals.egress[b, :requests] = workload.egress
-        arrivals.lifetime[b, :requests] = workload.lifetime
+        arrivals.lifetime[b, :requests] = np.minimum(workload.lifetime, np.finfo(np.float32).max)
         # Departures past the horizon are all alike; clipping keeps them within int32.
         arrivals.departure[b, :requests] = np.minimum(workload.departure, self.world.env["horizon"][b])
         shares = self._service_shares[b % len(self.scenarios)]

@@ -76,6 +76,13 @@ def test_correct_run_with_failures_is_clean(tmp_path, colocation):
     assert sum(decision["interrupted_at"] is not None for decision in read_decisions(folder)) >= 3
 
 
+def test_a_run_with_the_older_header_is_clean(tmp_path):
+    folder = write(tmp_path / "run", first_fit(toy.toy_scenario(), toy.toy_workload()))
+    text = (folder / "workload.csv").read_text()
+    (folder / "workload.csv").write_text(text.replace("_index", "", 2))
+    assert audit_run(folder).problems == []
+
+
 def test_run_without_requests_is_clean(tmp_path):
     workload = toy.toy_workload()
     nothing = type(workload)(**{name: getattr(workload, name)[:0] for name in vars(workload)})

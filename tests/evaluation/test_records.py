@@ -44,7 +44,7 @@ def test_the_five_files(tmp_path):
     assert (document["method"], document["seeds"]) == ("first_fit", {"scenario": 0, "workload": 0})
     assert document["services"][0]["chain"] == ["A", "B"]
     rows = list(csv.reader((folder / "workload.csv").open()))
-    assert rows[0] == ["slot", "service", "ingress", "egress", "lifetime"]
+    assert rows[0] == ["slot", "service", "ingress_index", "egress_index", "lifetime"]
     assert len(rows) == 1 + record.num_requests
 
 

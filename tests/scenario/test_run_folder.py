@@ -72,6 +72,17 @@ def test_a_workload_of_a_file_is_then_the_folders(tmp_path):
     assert_same(again.workload(0), toy.toy_workload())
 
 
+def test_an_older_folder_has_indices_under_other_names(tmp_path):
+    """Also where a label is a number: what an index was stays one."""
+    substrate = dataclasses.replace(toy.toy_substrate(), labels=("1", "2", "3", "4"))
+    write_run(tmp_path, toy.toy_scenario(substrate=substrate))
+    expected = read_run_folder(tmp_path).workload
+    text = (tmp_path / "workload.csv").read_text()
+    assert text.startswith("slot,service,ingress_index,egress_index,lifetime\n")
+    (tmp_path / "workload.csv").write_text(text.replace("_index", "", 2))
+    assert_same(read_run_folder(tmp_path).workload, expected)
+
+
 def test_the_json_by_hand():
     data = scenario_to_json(toy.toy_scenario(), workload_seed=None, method="random", timeline=FailureTimeline.empty())
     assert data["seeds"] == {"scenario": 0, "workload": None}

@@ -13,7 +13,9 @@ from toy import workload_of
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.scenario import paper_scenario
+from nfv_torchrl.scenario.topology_zoo import read_topology
 from nfv_torchrl.scenario.workload import Workload
+from nfv_torchrl.simulator import Simulator
 
 
 def assert_same(one: Workload, other: Workload) -> None:
@@ -160,7 +162,7 @@ def test_sampled_workload_survives_its_file(tmp_path):
 def test_the_file_by_hand(tmp_path):
     toy.toy_workload().to_csv(tmp_path / "w.csv", toy.toy_catalogue())
     lines = (tmp_path / "w.csv").read_text().splitlines()
-    assert lines[:3] == ["slot,service,ingress,egress,lifetime", "0,duo,0,3,2.0", "0,duo,0,3,1.5"]
+    assert lines[:3] == ["slot,service,ingress_index,egress_index,lifetime", "0,duo,0,3,2.0", "0,duo,0,3,1.5"]
 
 
 def test_spreadsheets_write_it_a_little_differently(tmp_path):
@@ -180,10 +182,22 @@ def test_spreadsheets_write_it_a_little_differently(tmp_path):
         ("1.5,duo,0,3,1.0", "line 3: slot is '1.5'; use an integer"),
         ("0,duo,0,3,1.0", "line 3: slot 0 follows 1; sort"),
         ("1,trio,0,3,1.0", r"line 3: unknown service 'trio'; .* \['duo', 'solo'\]"),
-        ("1,duo,0,4,1.0", r"line 3: unknown node 4; the substrate's nodes are 0 .. 3"),
-        ("1,duo,-1,3,1.0", "line 3: unknown node -1"),
-        ("1,duo,x,3,1.0", "line 3: ingress is 'x'"),
-        ("1,duo,2,2,1.0", "line 3: ingress and egress are both 2"),
+        ("1,duo,0,4,1.0", r"line 3: egress: unknown node '4'; the substrate's nodes are 0 .. 3"),
+        ("1,duo,-1,3,1.0", "line 3: ingress: unknown node '-1'"),
+        ("1,duo,x,3,1.0", "line 3: ingress: unknown node 'x'"),
+        (f"1,duo,{'x' * 1000},3,1.0", "line 3: ingress: 'x{50,100}... is no node"),
+        ("1,duo,,3,1.0", "line 3: ingress: unknown node ''"),
+        ("1,duo,2,2,1.0", "line 3: ingress and egress are both '2'"),
+        ("1e3,duo,0,3,1.0", "line 3: slot is '1e3'; use an integer"),
+        ("1_0,duo,0,3,1.0", "line 3: slot is '1_0'; use an integer"),
+        ('"1,000",duo,0,3,1.0', "line 3: slot is '1,000'; use an integer"),
+        ("\uff11,duo,0,3,1.0", "line 3: slot is '\uff11'; use an integer"),
+        (f"{'9' * 5000},duo,0,3,1.0", "line 3: slot is '9{50,100}...; use an integer"),
+        ("1;duo;0;3;1.0", "line 3: has 1 fields; .* separated by commas"),
+        ('1,"duo,0,3,1.0', "line 3: is not CSV"),
+        ('1,duo,0,3,"1,0"', "line 3: lifetime '1,0'"),
+        ("1,duo,0,3,1e400", "line 3: lifetime '1e400'"),
+        ("1,duo,0,3,1_0", "line 3: lifetime '1_0'"),
         ("1,duo,0,3,0", "line 3: lifetime '0'; use a positive number"),
         ("1,duo,0,3,-2", "line 3: lifetime '-2'"),
         ("1,duo,0,3,nan", "line 3: lifetime 'nan'"),
@@ -200,8 +214,22 @@ def test_refuses_a_line(tmp_path, line, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "w.csv, line 1: the header must be slot,service,ingress,egress,lifetime"),
-        ("0,duo,0,3,1.0\n", "w.csv, line 1: the header must be"),
+        ("", "w.csv, line 1: the header must be slot,service,ingress,egress,lifetime; 'slot' is missing"),
+        ("0,duo,0,3,1.0\n", "w.csv, line 1: the header must be .*; '0' is there twice"),
+        (
+            "slot;service;ingress;egress;lifetime\n0;duo;0;3;1\n",
+            "header .* separated by ';': export the file with commas",
+        ),
+        ("slot\tservice\tingress\tegress\tlifetime\n", "header .* separated by tabs"),
+        ("slot,service,ingress,egress\n", "header .*; 'lifetime' is missing: add it"),
+        ("slot,service,ingress,egress,lifetime,slot\n", "header .*; 'slot' is there twice: remove one"),
+        ("slot,service,ingress,egress,lifetime,rate\n", "header .*; 'rate' is unknown: remove that column"),
+        ("Slot,service,ingress,egress,lifetime\n", "header .*; 'Slot' is unknown: did you mean 'slot'"),
+        ("slot,service,ingress_index,egress,lifetime\n", "header .*; 'egress_index' is missing|'ingress' is missing"),
+        (
+            "slot,service,ingress,egress,ingress_index,egress_index,lifetime\n",
+            "header .*; nodes are named by .* not by both",
+        ),
         ("slot,service,ingress,egress,lifetime\n", "w.csv: holds no requests"),
     ],
 )
@@ -209,6 +237,119 @@ def test_refuses_a_file(tmp_path, text, message):
     (tmp_path / "w.csv").write_text(text)
     with pytest.raises(ScenarioError, match=message):
         Workload.from_csv(tmp_path / "w.csv", toy.toy_catalogue(), toy.toy_substrate(), 6)
+
+
+# ---------------------------------------------------------------- names of nodes
+
+ONE_BASED = """graph [
+  node [ id 1 label "A" ]
+  node [ id 2 label "B" ]
+  node [ id 3 label "C" ]
+  node [ id 4 label "3" ]
+  edge [ source 1 target 2 ]
+  edge [ source 2 target 3 ]
+  edge [ source 3 target 4 ]
+]"""
+
+
+def read_on_one_based(folder, text: str) -> Workload:
+    (folder / "net.gml").write_text(ONE_BASED)
+    (folder / "w.csv").write_text(text)
+    substrate = read_topology(folder / "net.gml", 0)
+    return Workload.from_csv(folder / "w.csv", toy.toy_catalogue(), substrate, 6)
+
+
+@pytest.mark.parametrize(("ends", "pair"), [("1,2", (0, 1)), ("A,B", (0, 1)), (" 4 , C", (3, 2)), ('"A",4', (0, 3))])
+def test_nodes_are_named_as_their_file_does(tmp_path, ends, pair):
+    """The file's ids start at 1: a request from 1 to 2 runs from A to B, never from B to C."""
+    workload = read_on_one_based(tmp_path, f"slot,service,ingress,egress,lifetime\n0,duo,{ends},5\n")
+    assert (workload.ingress[0], workload.egress[0]) == pair
+
+
+def test_indices_say_so_in_the_header(tmp_path):
+    workload = read_on_one_based(tmp_path, "slot,service,ingress_index,egress_index,lifetime\n0,duo,1,2,5\n")
+    assert (workload.ingress[0], workload.egress[0]) == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("ends", "message"),
+    [
+        ("0,1", "line 2: ingress: unknown node '0'; use an id of the substrate's file"),
+        ("A,3", "line 2: egress: node '3': is the id of node 'C' and the label of the node with id '4'"),
+        ("A,1", "line 2: ingress and egress are both 'A'"),
+        ("a,2", "line 2: ingress: unknown node 'a'"),
+    ],
+)
+def test_refuses_nodes_that_the_file_does_not_name_or_names_twice(tmp_path, ends, message):
+    with pytest.raises(ScenarioError, match=message):
+        read_on_one_based(tmp_path, f"slot,service,ingress,egress,lifetime\n0,duo,{ends},5\n")
+
+
+@pytest.mark.parametrize("index", ["-1", "4", "A", "1.0"])
+def test_refuses_an_index_that_is_none(tmp_path, index):
+    with pytest.raises(ScenarioError, match=f"line 2: egress: unknown node index '{index}'"):
+        read_on_one_based(tmp_path, f"slot,service,ingress_index,egress_index,lifetime\n0,duo,0,{index},5\n")
+
+
+def test_columns_in_another_order(tmp_path):
+    workload = read_on_one_based(tmp_path, "egress,ingress,lifetime,slot,service\n2,1,5,0,solo\n")
+    assert_same(workload, workload_of((0, 1, 0, 1, 5.0)))
+
+
+names = st.text(st.characters(exclude_characters="/"), min_size=1, max_size=20).filter(
+    lambda name: name.isprintable() and name == name.strip()
+)
+
+
+@given(workload=toy_workloads(), pair=st.lists(names, min_size=2, max_size=2, unique=True))
+def test_round_trip_with_odd_names(workload, pair, tmp_path_factory):
+    """Quotes, commas, semicolons, hashes, any script: what a service may be called comes back from the file."""
+    types = [dataclasses.replace(kind, name=name) for kind, name in zip(toy.toy_catalogue().types, pair, strict=True)]
+    try:
+        catalogue = dataclasses.replace(toy.toy_catalogue(), types=tuple(types))
+    except ScenarioError:
+        return  # two names of one tag
+    path = tmp_path_factory.mktemp("csv") / "workload.csv"
+    workload.to_csv(path, catalogue)
+    assert_same(workload, Workload.from_csv(path, catalogue, toy.toy_substrate(), 6))
+
+
+# ---------------------------------------------------------------- from Python
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"slot": [1, 0]}, "never decrease"),
+        ({"slot": [-1, 0]}, "0 or more"),
+        ({"slot": [0.5, 1.0]}, "slot is float64"),
+        ({"service": [0]}, r"service is int64 \[1\]; use int64 \[R\]"),
+        ({"egress": [0, 3]}, "ingress and egress differ"),
+        ({"ingress": [-1, 0]}, "indices from 0"),
+        ({"lifetime": [1.0, np.nan]}, "a lifetime is not a positive"),
+        ({"lifetime": [1.0, 0.0]}, "a lifetime is not a positive"),
+        ({"lifetime": ["1", "2"]}, "lifetime is <U1"),
+    ],
+)
+def test_refuses_requests_from_python(changes, message):
+    columns = {"slot": [0, 1], "service": [0, 1], "ingress": [0, 0], "egress": [3, 3], "lifetime": [1.0, 2.0]}
+    with pytest.raises(ScenarioError, match=message):
+        Workload(**{name: np.array(column) for name, column in {**columns, **changes}.items()})
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ((0, 2, 0, 3, 1.0), "service 2 is outside 0 .. 1"),
+        ((0, 0, 0, 4, 1.0), "node 4 is outside 0 .. 3"),
+        ((6, 0, 0, 3, 1.0), "slot 6 is outside 0 .. 5"),
+    ],
+)
+def test_a_simulator_refuses_requests_of_another_scenario(row, message):
+    """Before the compiled kernels, which would index past their arrays."""
+    simulator = Simulator(toy.toy_scenario(horizon=6), 1)
+    with pytest.raises(ScenarioError, match=message):
+        simulator.start(0, workload_of(row))
 
 
 def test_refuses_a_missing_file():

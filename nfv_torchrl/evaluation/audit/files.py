@@ -19,7 +19,10 @@ UNITS = 1_000_000
 LONGEST_STAY = 2**40
 """Slots; whoever asks for more leaves then."""
 
-WORKLOAD_HEADER = ["slot", "service", "ingress", "egress", "lifetime"]
+WORKLOAD_HEADERS = [
+    ["slot", "service", "ingress_index", "egress_index", "lifetime"],
+    ["slot", "service", "ingress", "egress", "lifetime"],  # of older runs; indices too
+]
 SCENARIO_KEYS: dict[str, Any] = {
     "horizon": int, "warmup": int, "arrival_rate": (int, float), "mean_lifetime": (int, float), "colocation": bool,
     "mask": str, "admission_control": bool, "observe_lifetime": bool, "max_steps": int, "vnfs": dict,
@@ -154,8 +157,8 @@ def _workload(path: Path, nodes: int, services: dict[str, Service], horizon: int
     requests: list[Request] = []
     with _open(path) as file:
         rows = csv.reader(file)
-        if next(rows, None) != WORKLOAD_HEADER:
-            raise UnreadableRun(f"workload.csv: the header is not {','.join(WORKLOAD_HEADER)}")
+        if next(rows, None) not in WORKLOAD_HEADERS:
+            raise UnreadableRun(f"workload.csv: the header is not {','.join(WORKLOAD_HEADERS[0])}")
         for row in rows:
             where = f"workload.csv line {rows.line_num}"
             try:
