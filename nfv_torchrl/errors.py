@@ -5,6 +5,10 @@ class ScenarioError(ValueError):
     """A scenario, a file or a config value that cannot be used."""
 
 
+class ScenarioWarning(UserWarning):
+    """Something of an input file that is not used, or was made up because the file lacks it."""
+
+
 class CheckpointError(RuntimeError):
     """A checkpoint that cannot be read, or does not fit what it is loaded into."""
 

@@ -20,15 +20,17 @@ class SubstrateConfig:
     """The network. Ranges are [low, high], drawn uniformly.
 
     Attributes:
-        path: file (``.json`` as written here, ``.graphml`` or ``.gml``) or name of a topology that ships; null: random.
+        path: ``.json``, ``.graphml`` or ``.gml`` file, or name of a topology that ships; null: random.
+        attributes: what the file calls capacities, delays and so on, where these are not the names that are known.
+        directed: ``pairs``: arcs of a directed file must pair up; ``merge``: the worse numbers of both directions.
         generator: ``_target_`` and arguments of a user's own callable, called with ``seed=``; returns a ``Substrate``.
         nodes: N, random graphs only.
         mean_degree: random graphs only.
         vms_min, vms_max: V_m, VMs of a node.
         vm_capacity: psi, Mcycles/s.
         vm_unit_cost: w, $ per Mcycles/s.
-        link_capacity: x, Mbit/s; where a file has no speeds.
-        link_delay: kappa, ms; where a file has no coordinates.
+        link_capacity: x, Mbit/s; where a file has no capacities.
+        link_delay: kappa, ms; where a file has neither delays nor coordinates.
         link_unit_cost: w-hat, $ per Mbit/s.
         fibre_km_per_ms: speed of light in fibre, km per ms.
         detour: length of a fibre over the great circle's.
@@ -37,6 +39,8 @@ class SubstrateConfig:
     """
 
     path: str | None = None
+    attributes: dict[str, Any] = field(default_factory=dict)
+    directed: str = "pairs"
     generator: dict[str, Any] | None = None
     nodes: int = 10
     mean_degree: float = 4.0

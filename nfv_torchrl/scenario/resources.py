@@ -74,11 +74,17 @@ class LinkDraw(NamedTuple):
     unit_cost: np.ndarray
 
 
-def draw_vms(nodes: int, seed: int, ranges: ResourceRanges) -> VmDraw:
-    """VMs of ``nodes`` nodes. The graph has no part in it: other links leave the VMs as they are."""
+def draw_vms(nodes: int, seed: int, ranges: ResourceRanges, known_count: np.ndarray | None = None) -> VmDraw:
+    """VMs of ``nodes`` nodes. The graph has no part in it: other links leave the VMs as they are.
+
+    ``known_count`` int64 [N] holds VM counts that are not to be drawn, 0 where they are; V grows to the largest.
+    """
     rng = generator(seed, Stream.RESOURCES, 0)
     low, high = (int(bound) for bound in ranges.vms)
     count = rng.integers(low, high, size=nodes, endpoint=True)
+    if known_count is not None:
+        count = np.where(known_count > 0, known_count, count)
+        high = max(high, int(known_count.max()))
     exists = np.arange(high) < count[:, None]
     capacity = rng.uniform(*ranges.vm_capacity, size=(nodes, high))
     unit_cost = rng.uniform(*ranges.vm_unit_cost, size=(nodes, high))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
@@ -16,14 +15,16 @@ from nfv_torchrl.scenario.topology_zoo import read_topology
 def build_substrate(config: SubstrateConfig, seed: int) -> Substrate:
     """The substrate that ``config`` describes, drawn with scenario seed ``seed``.
 
-    ``path`` ending in ``.json`` is read as it is; ``.graphml``, ``.gml`` and shipped names give the topology, the rest
-    is drawn; ``generator`` is called; with neither the graph is random. ``target_rho`` is the scenario's to apply.
+    ``path`` is read, what it lacks is drawn; ``generator`` is called; with neither the graph is random. ``target_rho``
+    is the scenario's to apply.
 
     Raises:
         ScenarioError: a value or a file that cannot be used.
     """
     if config.path is not None and config.generator is not None:
         raise ScenarioError("substrate: both path and generator are set; keep one and set the other to null")
+    if config.path is None and config.attributes:
+        raise ScenarioError("substrate.attributes: names attributes of a file, but there is none; set substrate.path")
     if config.generator is not None:
         return _call_generator(config.generator, seed)
     ranges: dict[str, Any] = {
@@ -36,14 +37,14 @@ def build_substrate(config: SubstrateConfig, seed: int) -> Substrate:
     }
     if config.path is None:
         return draw_random_substrate(config.nodes, seed, mean_degree=config.mean_degree, **ranges)
-    if Path(config.path).suffix.lower() == ".json":
-        return Substrate.from_json(config.path)
     return read_topology(
         config.path,
         seed,
         fibre_km_per_ms=config.fibre_km_per_ms,
         detour=config.detour,
         largest_component=config.largest_component,
+        directed=config.directed,
+        attributes=config.attributes,
         **ranges,
     )
 

@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import json
 import os
+import unicodedata
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +16,14 @@ import networkx as nx
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.files import read_json, write_atomically
+from nfv_torchrl.files import write_atomically
+from nfv_torchrl.scenario.graph_files import read_node_link, shown
 from nfv_torchrl.scenario.links import Links, merge_links
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY, quantise
+
+LONGEST_NAME = 500
+MAX_VMS = 1000
+"""Most VM slots of a node; more would need tables of more than 0.2 GB for 10,000 nodes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +65,9 @@ class Substrate:
     ids: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        self._set("labels", tuple(str(label).strip() for label in self.labels))
-        self._set("ids", tuple(str(name).strip() for name in self.ids) or tuple(map(str, range(len(self.labels)))))
+        # Line breaks and rows of blanks, as drawings have them in labels, become single blanks.
+        self._set("labels", tuple(" ".join(str(label).split()) for label in self.labels))
+        self._set("ids", tuple(" ".join(str(name).split()) for name in self.ids) or self._numbers())
         for field in ("vm_count", "links"):
             self._set(field, np.array(getattr(self, field), np.int64))
         for field in ("vm_capacity", "link_capacity"):
@@ -111,7 +118,7 @@ class Substrate:
         Raises:
             ScenarioError: no node is called so, or it is the id of one node and the label of another.
         """
-        name = name.strip()
+        name = " ".join(name.split())
         by_id, by_label = self._by_id.get(name), self._by_label.get(name)
         if by_id is None and by_label is None:
             raise ScenarioError(f"unknown node {name!r}; {self._names_like(name)}")
@@ -121,6 +128,10 @@ class Substrate:
                 f"{self.ids[by_label]!r}; name that node by the other of its names"
             )
         return by_label if by_id is None else by_id  # type: ignore[return-value]  # one is an index
+
+    def _numbers(self) -> tuple[str, ...]:
+        """The ids of nodes that no file named."""
+        return tuple(map(str, range(len(self.labels))))
 
     @cached_property
     def _by_id(self) -> dict[str, int]:
@@ -132,7 +143,7 @@ class Substrate:
 
     def _names_like(self, name: str) -> str:
         """What an error about an unknown ``name`` proposes."""
-        if self.ids == tuple(map(str, range(self.num_nodes))):
+        if self.ids == self._numbers():
             known = f"the substrate's nodes are 0 .. {self.num_nodes - 1}"
         else:
             more = ", .." if self.num_nodes > 5 else ""
@@ -160,6 +171,12 @@ class Substrate:
             raise self._error(f"has {nodes} node(s); a request needs an ingress and an egress, so at least 2")
         if len(set(self.labels)) != nodes:
             raise self._error("has two nodes with one label; labels must differ")
+        for name in (*self.ids, *self.labels, self.name):
+            if len(name) > LONGEST_NAME or any(unicodedata.category(character) in ("Cc", "Cs") for character in name):
+                raise ScenarioError(
+                    f"substrate: the name {shown(name)} holds control characters or more than {LONGEST_NAME} "
+                    "characters; shorten or correct it"
+                )
         if len(self.ids) != nodes or len(set(self.ids)) != nodes:
             raise self._error(f"ids must be {nodes} different names, one for each node; leave them out for 0 .. N-1")
         vms = self.vm_capacity.shape[-1] if self.vm_capacity.ndim == 2 else 1
@@ -204,8 +221,10 @@ class Substrate:
             values = getattr(self, field)
             for (link,) in np.argwhere(~_usable(values)):
                 raise self._error(_out_of_range(f"link {ends[link].tolist()}", field, values[link], unit))
-        for (link,) in np.argwhere(~(np.isfinite(self.link_delay) & (self.link_delay >= 0))):
-            raise self._error(f"link {ends[link].tolist()}: link_delay is {self.link_delay[link]} ms; use 0 or more")
+        for (link,) in np.argwhere(~((self.link_delay >= 0) & (self.link_delay <= MAX_CAPACITY))):
+            raise self._error(
+                f"link {ends[link].tolist()}: link_delay is {self.link_delay[link]} ms; use 0 to {MAX_CAPACITY:g}"
+            )
 
     def _check_connected(self) -> None:
         graph = nx.empty_graph(self.num_nodes)
@@ -259,7 +278,7 @@ class Substrate:
         if set(nodes) == set(range(len(nodes))):
             nodes.sort()
         index = {node: place for place, node in enumerate(nodes)}
-        vms = [_vms_of(graph.nodes[node], f"{source}: node {node!r}") for node in nodes]
+        vms = [vms_of(graph.nodes[node], f"{source}: node {node!r}") for node in nodes]
         edges = [(u, v, _link_of(data, f"{source}: link {u!r} - {v!r}")) for u, v, data in graph.edges(data=True)]
         numbers = np.array([numbers for _, _, numbers in edges], np.float64).reshape(-1, 3)
         ends = np.array([(index[u], index[v]) for u, v, _ in edges], np.int64).reshape(-1, 2)
@@ -267,7 +286,7 @@ class Substrate:
         count, capacity, unit_cost = _pad_vms(vms, graph.graph.get("max_vms"), source)
         return cls(
             name=str(graph.graph.get("name") or source),
-            labels=tuple(str(graph.nodes[node].get("label", node)) for node in nodes),
+            labels=tuple(label_of(graph.nodes[node], node) for node in nodes),
             vm_count=count,
             vm_capacity=capacity,
             vm_unit_cost=unit_cost,
@@ -293,42 +312,28 @@ class Substrate:
 
     @classmethod
     def from_json(cls, path: str | os.PathLike[str]) -> Substrate:
-        """Read what :meth:`to_json` wrote, or any ``node_link_data`` JSON with the same attributes.
+        """Read what :meth:`to_json` wrote, or any ``node_link_data`` JSON with the same attributes, all of them.
 
-        Links are taken from ``links`` or, as newer networkx writes them, ``edges``.
+        Links are taken from ``links`` or, as newer networkx writes them, ``edges``. A file that lacks some attributes
+        is for ``read_topology``, which draws them.
 
         Raises:
             ScenarioError: the file cannot be read, is not of this form, or holds no substrate.
         """
-        data = read_json(path)
-        links = data.get("links", data.get("edges"))
-        nodes = data.get("nodes")
-        if not isinstance(nodes, list) or not isinstance(links, list):
-            raise ScenarioError(f"{path}: needs the lists 'nodes' and 'links' of networkx's node_link_data form")
-        kind = nx.MultiDiGraph if data.get("directed") else nx.MultiGraph
-        attributes = data.get("graph")
-        graph = kind(**attributes) if isinstance(attributes, dict) else kind()
-        try:
-            for node in nodes:
-                graph.add_node(node["id"], **{key: value for key, value in node.items() if key != "id"})
-            if len(graph) != len(nodes):
-                raise ScenarioError(f"{path}: two nodes have the same 'id'; ids must differ")
-            for link in links:
-                for end in (link["source"], link["target"]):
-                    if end not in graph:
-                        raise ScenarioError(f"{path}: a link names node {end!r}, which is not among 'nodes'")
-                numbers = {key: link[key] for key in ("capacity", "delay", "unit_cost") if key in link}
-                graph.add_edge(link["source"], link["target"], **numbers)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise ScenarioError(
-                f"{path}: each node needs an 'id', each link a 'source' and a 'target' ({error!r})"
-            ) from error
+        graph = read_node_link(Path(path)).to_networkx()
         if not graph.graph.get("name"):
             graph.graph["name"] = Path(path).stem
         return cls.from_networkx(graph, source=str(path))
 
 
-def _usable(values: np.ndarray) -> np.ndarray:
+def label_of(data: dict[str, Any], name: Any) -> str:
+    """The label of a node with attributes ``data``, its id ``name`` where it has none."""
+    label = data.get("label")
+    return str(name if label in (None, "") else label)
+
+
+def _usable(values: Any) -> Any:
+    """Where ``values``, a number or an array, may be a capacity or a unit cost."""
     return np.isfinite(values) & (values > 0) & (values <= MAX_CAPACITY)
 
 
@@ -342,19 +347,42 @@ def _out_of_range(where: str, field: str, value: float, unit: str) -> str:
 def _number(data: Any, key: str, where: str) -> float:
     value = data.get(key) if isinstance(data, dict) else None
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise ScenarioError(f"{where}: {key!r} is {value!r}; a number was expected")
-    return float(value)
+        raise ScenarioError(f"{where}: {key!r} is {shown(value)}; a number was expected")
+    try:
+        return float(value)
+    except OverflowError:
+        raise ScenarioError(f"{where}: {key!r} is {shown(value)}; use a number of at most {MAX_CAPACITY:g}") from None
 
 
-def _vms_of(data: dict[str, Any], where: str) -> list[tuple[float, float]]:
+def vms_of(data: dict[str, Any], where: str) -> list[tuple[float, float]]:
+    """Capacity and unit cost of each entry of a node's ``vms``; ``where`` names the node."""
     vms = data.get("vms")
     if not isinstance(vms, list) or not vms:
         raise ScenarioError(f"{where}: needs 'vms', a list of at least one {{capacity, unit_cost}}")
-    return [(_number(vm, "capacity", f"{where}, a VM"), _number(vm, "unit_cost", f"{where}, a VM")) for vm in vms]
+    return [
+        (_amount(vm, "capacity", f"{where}, VM {v}"), _amount(vm, "unit_cost", f"{where}, VM {v}"))
+        for v, vm in enumerate(vms)
+    ]
+
+
+def _amount(vm: Any, key: str, where: str) -> float:
+    """A capacity or unit cost of a VM."""
+    value = _number(vm, key, where)
+    if not _usable(value):
+        raise ScenarioError(_out_of_range(where, key, value, "Mcycles/s" if key == "capacity" else "$ per Mcycles/s"))
+    return value
 
 
 def _link_of(data: dict[str, Any], where: str) -> tuple[float, float, float]:
     return _number(data, "capacity", where), _number(data, "delay", where), _number(data, "unit_cost", where)
+
+
+def check_vm_slots(slots: int, source: str) -> None:
+    """Refuse more VM slots a node than ``MAX_VMS``, before a table of them is made."""
+    if slots > MAX_VMS:
+        raise ScenarioError(
+            f"{source}: {shown(slots)} VM slots a node ('max_vms' or a node's VMs); use at most {MAX_VMS}"
+        )
 
 
 def _pad_vms(vms: list[list[tuple[float, float]]], max_vms: Any, source: str) -> tuple[np.ndarray, ...]:
@@ -362,7 +390,10 @@ def _pad_vms(vms: list[list[tuple[float, float]]], max_vms: Any, source: str) ->
     largest = max((len(node) for node in vms), default=1)
     width = largest if max_vms is None else max_vms
     if isinstance(width, bool) or not isinstance(width, int) or width < largest:
-        raise ScenarioError(f"{source}: 'max_vms' is {max_vms!r}, but a node has {largest} VMs; raise or remove it")
+        raise ScenarioError(
+            f"{source}: 'max_vms' is {shown(max_vms)}, but a node has {largest} VMs; raise or remove it"
+        )
+    check_vm_slots(width, source)
     table = np.zeros((2, len(vms), width))
     for node, pairs in enumerate(vms):
         table[:, node, : len(pairs)] = np.array(pairs).T

@@ -1,33 +1,31 @@
-"""Real topologies: GraphML and GML files as those of the Internet Topology Zoo, a dozen of which ship here."""
+"""Networks from files: GraphML, GML and node-link JSON, and a dozen of the Internet Topology Zoo that ship here."""
 
 from __future__ import annotations
 
 import math
 import os
-import re
-import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import ParseError
 
 import networkx as nx
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.files import read_bytes
-from nfv_torchrl.scenario.links import Links, merge_links
-from nfv_torchrl.scenario.resources import ResourceRanges, draw_links, draw_vms
-from nfv_torchrl.scenario.substrate import Substrate
-from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
+from nfv_torchrl.scenario.attributes import DRAWN, FileNumbers, read_numbers, some
+from nfv_torchrl.scenario.file_vms import file_vms
+from nfv_torchrl.scenario.graph_files import SUFFIXES, GraphFile, read_graph_file
+from nfv_torchrl.scenario.links import DIRECTED, Links, merge_links, pair_arcs
+from nfv_torchrl.scenario.quantities import parse_mapping
+from nfv_torchrl.scenario.resources import ResourceRanges, draw_links
+from nfv_torchrl.scenario.substrate import Substrate, label_of
 
 TOPOLOGIES = Path(__file__).parent / "topologies"
 EARTH_RADIUS_KM = 6371.0
 LEAST_DELAY = 0.01
 """ms; floor of a link's delay, for nodes at one place (2 km of fibre)."""
 
-# What networkx's parsers raise on files that are not what they claim to be.
-_PARSE_ERRORS = (nx.NetworkXException, ParseError, ValueError, KeyError, TypeError, IndexError, AttributeError)
+LINK_NUMBERS = ("capacity", "delay", "unit_cost")
 
 
 def shipped_topologies() -> list[str]:
@@ -42,15 +40,18 @@ def read_topology(
     fibre_km_per_ms: float = 200.0,
     detour: float = 1.0,
     largest_component: bool = False,
+    directed: str = "pairs",
+    attributes: Mapping[str, Any] | None = None,
     **ranges: Any,
 ) -> Substrate:
-    """The network of a ``.graphml`` or ``.gml`` file, or of a topology that ships here, with VMs drawn.
+    """The network of a ``.graphml``, ``.gml`` or ``.json`` file, or of a topology that ships here.
 
-    Links: capacity from ``LinkSpeedRaw`` (bit/s) as it stands, drawn where that is missing; delay from the great circle
-    between ``Latitude`` and ``Longitude`` of the ends times ``detour`` over ``fibre_km_per_ms``, at least 0.01 ms;
-    unit cost drawn. Parallel links are merged: capacities add, the smallest delay and unit cost stay. Links from a node
-    to itself are dropped with a warning. Nodes without coordinates get the mean of their neighbours', with a warning
-    that names them; if no node has any, delays are drawn. Equal labels are told apart by a number, as ``Oslo (2)``.
+    The file's numbers are kept, see ``docs/data.md`` for their names and units; what it lacks is drawn. A link without
+    a delay whose file has coordinates gets that of the great circle between its ends times ``detour`` over
+    ``fibre_km_per_ms``, at least 0.01 ms. Parallel links are merged: capacities add, the smallest delay and unit cost
+    stay. Links from a node to itself are dropped. Nodes without coordinates get the mean of their neighbours'. Equal
+    labels are told apart by a number, as ``Oslo (2)``. What is dropped, filled in, or drawn for some links only, and
+    numbers of the file that are not used, are named by a :class:`ScenarioWarning`.
 
     Args:
         path: file, or one of :func:`shipped_topologies` (in any case).
@@ -58,24 +59,33 @@ def read_topology(
         fibre_km_per_ms: speed of light in fibre.
         detour: length of a fibre over the great circle's.
         largest_component: keep only the largest connected component (of several the first) of a disconnected file.
+        directed: how arcs of a directed file become links, see :func:`pair_arcs`.
+        attributes: by quantity, the file's name of it, or ``{name: NAME, unit: UNIT}``.
         ranges: any field of :class:`ResourceRanges`.
 
     Raises:
-        ScenarioError: the file is missing, cannot be parsed, is directed, disconnected or has no links; or an argument
-            is out of range.
+        ScenarioError: the file is missing, cannot be parsed, holds a number out of range, is disconnected or has no
+            links; or an argument is out of range.
     """
     for name, value in (("fibre_km_per_ms", fibre_km_per_ms), ("detour", detour)):
         if not (math.isfinite(value) and value > 0):
             raise ScenarioError(f"{name}: {value}; use a positive number")
+    if directed not in DIRECTED:
+        raise ScenarioError(f"substrate.directed: {directed!r} is unknown; use one of {', '.join(DIRECTED)}")
     drawn_from = ResourceRanges(**ranges)
-    file = _find(path)
-    graph = _connected(_read_graph(file), file, largest_component)
-    labels = _distinct(_label(data) for _, data in graph.nodes(data=True))
-    coordinates = _coordinates(graph, labels, file)
-    links = _links(graph, coordinates, drawn_from, seed, km_per_ms=fibre_km_per_ms / detour, source=str(file))
-    vms = draw_vms(len(graph), seed, drawn_from)
+    sources = parse_mapping(attributes or {}, fibre_km_per_ms)
+    path = _find(path)
+    file = read_graph_file(path)
+    numbers = read_numbers(file, sources, fibre_km_per_ms)
+    graph = _connected(_graph(file, numbers, directed), path, largest_component)
+    kept = [data["place"] for _, data in graph.nodes(data=True)]
+    labels = _distinct(label_of(file.nodes[place], file.ids[place]) for place in kept)
+    coordinates = _coordinates(graph, numbers, kept, labels)
+    links = _links(graph, coordinates, drawn_from, seed, km_per_ms=fibre_km_per_ms / detour, source=file.source)
+    vms = file_vms(numbers, kept, drawn_from, seed)
+    numbers.warn({"delay": DRAWN if coordinates is None else "from the coordinates of its ends"})
     return Substrate(
-        name=file.stem,
+        name=_name(file, path),
         labels=labels,
         vm_count=vms.vm_count,
         vm_capacity=vms.capacity,
@@ -85,7 +95,7 @@ def read_topology(
         link_delay=links.delay,
         link_unit_cost=links.unit_cost,
         coordinates=coordinates,
-        ids=tuple(str(data["id"]) for _, data in graph.nodes(data=True)),
+        ids=tuple(str(file.ids[place]) for place in kept),
     )
 
 
@@ -97,7 +107,7 @@ def _find(path: str | os.PathLike[str]) -> Path:
     shipped = {file.stem.lower(): file for file in TOPOLOGIES.glob("*.graphml")}
     if str(path).lower() in shipped:
         return shipped[str(path).lower()]
-    if Path(path).suffix.lower() not in (".graphml", ".gml"):
+    if Path(path).suffix.lower() not in SUFFIXES:
         raise ScenarioError(
             f"substrate.path: {str(path)!r} is neither a file ending in .json, .graphml or .gml nor a topology that "
             f"ships here; those are {', '.join(sorted(shipped))}"
@@ -105,30 +115,22 @@ def _find(path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def _read_graph(file: Path) -> nx.MultiGraph:
-    """The file's graph with nodes renamed 0 .. N-1 in the file's order; ``id`` keeps what the file calls them."""
-    content = read_bytes(file)
-    try:
-        if file.suffix.lower() == ".gml":
-            graph = nx.parse_gml(_as_multigraph(content.decode(errors="replace")).splitlines(), label="id")
-        else:
-            # Bytes, because only they may declare an encoding.
-            graph = nx.parse_graphml(content, force_multigraph=True)
-    except _PARSE_ERRORS as error:
-        kind = "GML" if file.suffix.lower() == ".gml" else "GraphML"
-        raise ScenarioError(f"{file}: is not valid {kind} ({error}); repair or replace the file") from error
-    if graph.is_directed():
-        raise ScenarioError(f"{file}: is directed; links serve both directions, so give an undirected graph")
-    return nx.convert_node_labels_to_integers(nx.MultiGraph(graph), label_attribute="id")
+def _graph(file: GraphFile, numbers: FileNumbers, directed: str) -> nx.MultiGraph:
+    """The undirected graph of nodes 0 .. N-1; ``place`` of a node is its place in the file, edges have ``numbers``."""
+    links = Links(np.array(file.ends, np.int64).reshape(-1, 2), *(numbers.values[key] for key in LINK_NUMBERS))
+    if file.directed:
+        links = pair_arcs(links, directed, file.source, file.link_name)
+    graph = nx.MultiGraph()
+    graph.add_nodes_from((place, {"place": place}) for place in range(len(file.ids)))
+    rows = np.stack(links[1:], axis=1)
+    graph.add_edges_from((u, v, {"numbers": row}) for (u, v), row in zip(links.ends.tolist(), rows, strict=True))
+    return graph
 
 
-def _as_multigraph(gml: str) -> str:
-    """A GML text that says it has parallel edges: many files have some and do not say so.
-
-    The keys of edges go: networkx takes them for the identity of a parallel edge, files repeat them where they are not.
-    """
-    gml = re.sub(r"(?m)^\s*(key|multigraph)\s+\S+\s*$", "", gml)
-    return re.sub(r"(^|\s)graph\s*\[", r"\1graph [ multigraph 1 ", gml, count=1)
+def _name(file: GraphFile, path: Path) -> str:
+    """The name that a JSON file gives its network, or the file's."""
+    name = file.attributes.get("name") if path.suffix.lower() == ".json" else None
+    return str(name or path.stem)
 
 
 def _connected(graph: nx.MultiGraph, file: Path, largest_component: bool) -> nx.MultiGraph:
@@ -147,11 +149,6 @@ def _connected(graph: nx.MultiGraph, file: Path, largest_component: bool) -> nx.
     if len(kept) < 2:
         raise ScenarioError(f"{file}: has no links; a network needs at least one")
     return nx.convert_node_labels_to_integers(kept, ordering="sorted")
-
-
-def _label(data: dict[str, Any]) -> str:
-    label = data.get("label")
-    return str(data["id"] if label in (None, "") else label)
 
 
 def _distinct(labels: Iterable[str]) -> tuple[str, ...]:
@@ -180,17 +177,22 @@ def _links(
     km_per_ms: float,
     source: str,
 ) -> Links:
-    """The graph's links, parallel ones merged."""
-    edges = list(graph.edges(data=True))
+    """The graph's links, parallel ones merged, with numbers for those that the file lacks."""
+    edges = list(graph.edges(data="numbers"))
     ends = np.array([edge[:2] for edge in edges], np.int64).reshape(-1, 2)
+    capacity, delay, unit_cost = np.array([numbers for *_, numbers in edges], np.float64).reshape(-1, 3).T
     drawn = draw_links(len(edges), seed, drawn_from)
-    speed = np.array([_number(data, "LinkSpeedRaw", least=1.0, most=MAX_CAPACITY * LEDGER_UNITS) for *_, data in edges])
-    delay = drawn.delay
+    other_delay = drawn.delay
     if coordinates is not None:
         kilometres = great_circle_km(coordinates[ends[:, 0]], coordinates[ends[:, 1]])
-        delay = np.maximum(kilometres / km_per_ms, LEAST_DELAY)
-    capacity = np.where(np.isnan(speed), drawn.capacity, speed / LEDGER_UNITS)
-    return merge_links(Links(ends, capacity, delay, drawn.unit_cost), source)
+        other_delay = np.maximum(kilometres / km_per_ms, LEAST_DELAY)
+    known = Links(
+        ends,
+        np.where(np.isnan(capacity), drawn.capacity, capacity),
+        np.where(np.isnan(delay), other_delay, delay),
+        np.where(np.isnan(unit_cost), drawn.unit_cost, unit_cost),
+    )
+    return merge_links(known, source)
 
 
 def great_circle_km(here: np.ndarray, there: np.ndarray) -> np.ndarray:
@@ -200,33 +202,21 @@ def great_circle_km(here: np.ndarray, there: np.ndarray) -> np.ndarray:
     return (2 * EARTH_RADIUS_KM * np.arcsin(np.sqrt(np.clip(haversine, 0, 1)))).T
 
 
-def _number(data: dict[str, Any], key: str, *, least: float, most: float) -> float:
-    """``data[key]``, or NaN if it is missing, no number or outside [least, most]."""
-    try:
-        value = float(data.get(key, math.nan))
-    except (TypeError, ValueError):
-        return math.nan
-    return value if least <= value <= most else math.nan
-
-
 # -------------------------------------------------------------------- coordinates
 
 
-def _coordinates(graph: nx.MultiGraph, labels: tuple[str, ...], file: Path) -> np.ndarray | None:
+def _coordinates(
+    graph: nx.MultiGraph, numbers: FileNumbers, kept: list[int], labels: tuple[str, ...]
+) -> np.ndarray | None:
     """Latitude and longitude float64 [N, 2], gaps filled from neighbours; None if the file has none at all."""
-    known = np.array(
-        [
-            (_number(data, "Latitude", least=-90, most=90), _number(data, "Longitude", least=-180, most=180))
-            for _, data in graph.nodes(data=True)
-        ]
-    )
+    known = np.stack([numbers.values["latitude"], numbers.values["longitude"]], axis=1)[kept]
     known[np.isnan(known).any(axis=1)] = np.nan
     missing = np.flatnonzero(np.isnan(known[:, 0]))
     if len(missing) == len(known):
         return None
     if len(missing):
-        names = ", ".join(f"{node} ({labels[node]})" for node in missing)
-        warnings.warn(f"{file}: no coordinates of nodes {names}; set to the mean of their neighbours'", stacklevel=3)
+        names = some([f"{node} ({labels[node]})" for node in missing])
+        numbers.say(f"no coordinates of nodes {names}; set to the mean of their neighbours'")
         _fill_from_neighbours(known, graph)
     return known
 

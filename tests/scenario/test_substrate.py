@@ -203,8 +203,8 @@ def test_refuses_a_disconnected_graph():
         (lambda d: d.pop("nodes"), "needs the lists 'nodes' and 'links'"),
         (lambda d: d["nodes"][2].pop("vms"), "node 2: needs 'vms'"),
         (lambda d: d["nodes"][2].update(vms=[]), "node 2: needs 'vms'"),
-        (lambda d: d["nodes"][2]["vms"][0].pop("capacity"), "node 2, a VM: 'capacity' is None"),
-        (lambda d: d["nodes"][2]["vms"][0].update(capacity=-3), "VM 0 of node 2: vm_capacity is -3.0"),
+        (lambda d: d["nodes"][2]["vms"][0].pop("capacity"), "node 2, VM 0: 'capacity' is None"),
+        (lambda d: d["nodes"][2]["vms"][0].update(capacity=-3), "node 2, VM 0: capacity is -3.0"),
         (lambda d: d["nodes"][2].update(id=1), "same 'id'"),
         (lambda d: d["nodes"][2].pop("id"), "each node needs an 'id'"),
         (lambda d: d["links"][0].update(capacity="fast"), "link 0 - 1: 'capacity' is 'fast'"),
@@ -234,8 +234,8 @@ def test_refuses_what_is_no_json(tmp_path):
     path.write_text("[1, 2]")
     with pytest.raises(ScenarioError, match=r"s.json: holds a list"):
         Substrate.from_json(path)
-    path.write_bytes(b"\xff\xfe{}")
+    path.write_bytes(b"{\xff}")
     with pytest.raises(ScenarioError, match=r"s.json: is not UTF-8"):
         Substrate.from_json(path)
-    with pytest.raises(ScenarioError, match="cannot be read"):
+    with pytest.raises(ScenarioError, match="cannot be read, it is a folder"):
         Substrate.from_json(tmp_path)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.errors import ScenarioError, ScenarioWarning
 from nfv_torchrl.scenario.topology_zoo import TOPOLOGIES, great_circle_km, read_topology, shipped_topologies
 
 SIZES = {  # nodes, links with parallel ones merged
@@ -62,7 +62,7 @@ def test_what_ships():
 
 
 @pytest.mark.parametrize("name", sorted(SIZES))
-@pytest.mark.filterwarnings("ignore:.*no coordinates of nodes")
+@pytest.mark.filterwarnings("ignore::nfv_torchrl.errors.ScenarioWarning")
 def test_shipped_topology(name):
     substrate = read_topology(name, 0)
     assert (substrate.num_nodes, substrate.num_links) == SIZES[name]
@@ -94,7 +94,8 @@ def test_speeds_of_a_file_are_kept():
 
 
 def test_missing_speeds_are_drawn():
-    one, other = (read_topology("uninett2010", seed) for seed in (0, 1))
+    with pytest.warns(ScenarioWarning, match=r"no capacity of link '32' - '34', .*; drawn with the scenario seed"):
+        one, other = (read_topology("uninett2010", seed) for seed in (0, 1))
     assert 1 <= np.sum(one.link_capacity != other.link_capacity) <= 3
 
 
@@ -134,10 +135,17 @@ def test_parallel_links_merge(tmp_path, header):
     assert substrate.link_capacity.tolist() == [3.5, 4.0]
 
 
-@pytest.mark.parametrize("speed", ["-5", "0", '"fast"', '"nan"', "1.0e40"])
-def test_a_speed_that_is_none_is_drawn(tmp_path, speed):
+@pytest.mark.parametrize("speed", ["-5", "0", '"nan"', "1.0e40"])
+def test_a_speed_out_of_range_is_refused(tmp_path, speed):
     path = write(tmp_path, gml("\n".join(LINE), edge(0, 1, speed) + "\n" + edge(1, 2, "7")))
-    capacity = read_topology(path, 0).link_capacity
+    with pytest.raises(ScenarioError, match=r"net.gml: link 0 - 1: LinkSpeedRaw is .*; it must be at least 1e-06"):
+        read_topology(path, 0)
+
+
+def test_a_speed_that_is_no_number_is_drawn_and_named(tmp_path):
+    path = write(tmp_path, gml("\n".join(LINE), edge(0, 1, '"fast"') + "\n" + edge(1, 2, "7")))
+    with pytest.warns(ScenarioWarning, match=r"no capacity of link 0 - 1 \(LinkSpeedRaw of link 0 - 1 is 'fast'"):
+        capacity = read_topology(path, 0).link_capacity
     assert 1600 <= capacity[0] <= 6400
     assert capacity[1] == 7e-6
 

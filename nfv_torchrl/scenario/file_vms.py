@@ -1,0 +1,93 @@
+"""The VMs that a network file gives its nodes, others drawn."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.attributes import DRAWN, FileNumbers
+from nfv_torchrl.scenario.graph_files import shown
+from nfv_torchrl.scenario.resources import ResourceRanges, VmDraw, draw_vms
+from nfv_torchrl.scenario.substrate import check_vm_slots, vms_of
+
+
+def file_vms(numbers: FileNumbers, kept: list[int], ranges: ResourceRanges, seed: int) -> VmDraw:
+    """VMs of the nodes at places ``kept`` of a file: those of the file, what it lacks drawn.
+
+    A node lists them as ``vms``, or all its VMs are alike: ``vm_count`` of ``vm_capacity`` and ``vm_unit_cost``, each
+    of which may be missing. If every node's count is known, V is the file's ``max_vms`` or the largest count, otherwise
+    at least the upper bound of ``ranges.vms``.
+
+    Raises:
+        ScenarioError: a list of VMs that is none, a count that is no integer, or ``max_vms`` below a count.
+    """
+    file = numbers.file
+    lists = [_listed(numbers, place) for place in kept]
+    count = np.array([len(vms) or _count(numbers, place) for vms, place in zip(lists, kept, strict=True)], np.int64)
+    slots = _slots(file.attributes.get("max_vms"), count, ranges, file.source)
+    drawn = draw_vms(len(kept), seed, ranges, count)
+    vms = VmDraw(drawn.vm_count, _resized(drawn.capacity, slots), _resized(drawn.unit_cost, slots))
+    for node, (listed, place) in enumerate(zip(lists, kept, strict=True)):
+        held = slice(0, int(vms.vm_count[node]))
+        for table, key in ((vms.capacity, "vm_capacity"), (vms.unit_cost, "vm_unit_cost")):
+            if not np.isnan(numbers.values[key][place]):
+                table[node, held] = numbers.values[key][place]
+        if listed:
+            vms.capacity[node, held], vms.unit_cost[node, held] = np.array(listed).T
+    unknown = [place for place, known in zip(kept, count > 0, strict=True) if not known]
+    if 0 < len(unknown) < len(kept):
+        numbers.say_gaps("VMs", [file.node_name(place) for place in unknown], DRAWN)
+    return vms
+
+
+def _listed(numbers: FileNumbers, place: int) -> list[tuple[float, float]]:
+    """The VMs that a node lists, none if it does not."""
+    value = numbers.file.nodes[place].get("vms")
+    if value is None:
+        return []
+    where = f"{numbers.file.source}: {numbers.file.node_name(place)}"
+    # GraphML holds text; GML reads a list of one as its only entry.
+    entries = _parsed(value, where) if isinstance(value, str) else [value] if isinstance(value, dict) else value
+    return vms_of({"vms": entries}, where)
+
+
+def _parsed(text: str, where: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise ScenarioError(
+            f'{where}: \'vms\' is {shown(text)}; use JSON such as [{{"capacity": 500, "unit_cost": 50}}], or vm_count, '
+            "vm_capacity and vm_unit_cost"
+        ) from None
+
+
+def _count(numbers: FileNumbers, place: int) -> int:
+    """``vm_count`` of a node, 0 if the file has none."""
+    value = numbers.values["vm_count"][place]
+    if np.isnan(value):
+        return 0
+    if value != int(value):
+        raise ScenarioError(
+            f"{numbers.file.source}: {numbers.file.node_name(place)}: vm_count is {value}; use an integer"
+        )
+    return int(value)
+
+
+def _slots(max_vms: Any, count: np.ndarray, ranges: ResourceRanges, source: str) -> int:
+    """V: columns of the tables of VMs."""
+    largest = int(count.max()) if count.all() else max(int(count.max()), int(ranges.vms[1]))
+    slots = largest if max_vms is None else max_vms
+    if isinstance(slots, bool) or not isinstance(slots, int) or slots < largest:
+        raise ScenarioError(
+            f"{source}: 'max_vms' is {shown(max_vms)}, but nodes have up to {largest} VMs; raise or remove it"
+        )
+    check_vm_slots(slots, source)
+    return slots
+
+
+def _resized(table: np.ndarray, slots: int) -> np.ndarray:
+    """``table`` [N, V] with ``slots`` columns; those that are cut off or added hold no VMs."""
+    return np.pad(table, ((0, 0), (0, max(0, slots - table.shape[1]))))[:, :slots]
