@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
@@ -15,10 +15,14 @@ from nfv_torchrl.errors import CheckpointError, ScenarioError
 from nfv_torchrl.observations import MemoryObservation, ObservationPart, RequestObservation, read_observation
 from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.scenario.streams import LARGEST_SEED, Stream, check_seed, generator
 from nfv_torchrl.simulator import OUTCOME, Simulator
 from nfv_torchrl.simulator.snapshot import restore_snapshot, take_snapshot
 from nfv_torchrl.simulator.state import ACCEPTED, DONE, REASON, REQUEST_COST, REQUEST_DONE
+from nfv_torchrl.state_checks import check_array, check_arrays, check_keys, check_list, check_whole
+
+LAST_EPISODE = 2**53
+"""More horizons than any environment plays; an episode's number in a checkpoint is below it."""
 
 
 class NFVEnv(EnvBase):
@@ -73,6 +77,7 @@ class NFVEnv(EnvBase):
         if segment is not None and (segment < 1 or not stagger):
             raise ScenarioError(f"segment is {segment}; it needs stagger and must be at least 1 slot, or null")
         self.segment = segment
+        check_seed(seed)
         self._seed = seed
         self._episode = np.full(batch_size, -1, np.int64)
         self._leave_at = np.zeros(batch_size, np.int64)
@@ -188,8 +193,21 @@ class NFVEnv(EnvBase):
             scenario.failure_timeline(self._seed, b, episode),
         )
 
+    def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
+        """``action`` int64 [B], each one that the mask allows as likely; torch's seed decides.
+
+        The mask is that of ``tensordict``, or the one that the environment shows now.
+        """
+        mask = None if tensordict is None else tensordict.get("action_mask", None)
+        mask = self._observe()["action_mask"] if mask is None else mask
+        action = torch.multinomial(mask.flatten(0, -2).float(), 1).view(mask.shape[:-1])
+        drawn = TensorDict({"action": action}, batch_size=action.shape)
+        return drawn if tensordict is None else tensordict.update(drawn)
+
     def _set_seed(self, seed: int | None) -> None:
-        self._seed = 0 if seed is None else int(seed)
+        seed = 0 if seed is None else seed
+        check_seed(seed)
+        self._seed = int(seed)
         self._episode[:] = -1
         self._continue = False
 
@@ -204,26 +222,55 @@ class NFVEnv(EnvBase):
             "memories": [memory.state_dict() for memory in self._memories()],
         }
 
-    def load_state_dict(self, state_dict, *args, **kwargs) -> None:
+    def load_state_dict(self, state_dict, strict: bool = True, **kwargs) -> None:
         """Go on from ``state_dict()``: the next ``reset`` returns the saved state instead of a new horizon.
 
+        Args:
+            state_dict: from anyone. Nothing of it is used before all of it has been checked; where it is refused, the
+                environment is as it was.
+            strict: refuse a state that lacks a part. False: leave the environment as it is then, since a part of a
+                state is no place to go on from; TorchRL's ``EnvCreator`` hands such states over.
+
         Raises:
-            CheckpointError: it belongs to another batch size, network or version.
+            CheckpointError: it belongs to another batch size, scenario or version, or is damaged.
         """
-        episode = state_dict["episode"].numpy()
-        if episode.shape != self._episode.shape:
+        if not strict and not self._state_keys() <= set(state_dict):
+            return
+        before = self._seed, self._episode, self._leave_at, self._continue, self.simulator.world
+        try:
+            self._load(state_dict)
+        except BaseException:
+            self._seed, self._episode, self._leave_at, self._continue, self.simulator.world = before
+            raise
+
+    def _state_keys(self) -> set[str]:
+        return {"seed", "episode", "leave_at", "world", "memories"}
+
+    def _load(self, state_dict) -> None:
+        """Check the state and take it over, in new arrays, so that those of before can come back."""
+        batch, simulator = self.batch_size[0], self.simulator
+        check_keys("env", state_dict, self._state_keys())
+        episode = state_dict["episode"]
+        if isinstance(episode, torch.Tensor) and episode.ndim == 1 and len(episode) != batch:
             raise CheckpointError(
-                f"the checkpoint holds {len(episode)} environments, this run has {len(self._episode)}; "
-                "resume with the same number"
+                f"the checkpoint holds {len(episode)} environments, this run has {batch}; resume with the same number"
             )
-        self._seed = int(state_dict["seed"])
-        self._episode = episode.copy()
-        self._leave_at = state_dict["leave_at"].numpy().copy()
-        for b in range(self.batch_size[0]):
-            self.simulator.load_arrivals(b, *self._arrivals(b, max(int(episode[b]), 0)))
-        world = {name: tensor.numpy() for name, tensor in state_dict["world"].items()}
-        self.simulator.world = restore_snapshot(self.simulator.world, world)
-        for memory, kept in zip(self._memories(), state_dict["memories"], strict=True):
-            memory.load_state_dict(kept)
+        latest = simulator.scenario(0).horizon + (self.segment or 0)
+        self._seed = check_whole("env.seed", state_dict["seed"], 0, LARGEST_SEED)
+        self._episode = check_array("env.episode", episode, self._episode, -1, LAST_EPISODE)
+        self._leave_at = check_array("env.leave_at", state_dict["leave_at"], self._leave_at, 0, latest)
+        snapshot = check_arrays("env.world", state_dict["world"])
+        memories = self._memories()
+        kept = check_list("env.memories", state_dict["memories"], len(memories))
+        simulator.world = simulator.world._replace(
+            env=simulator.world.env.copy(),
+            arrivals=type(simulator.world.arrivals)(*(array.copy() for array in simulator.world.arrivals)),
+        )
+        for b in range(batch):
+            simulator.load_arrivals(b, *self._arrivals(b, max(int(self._episode[b]), 0)))
+        simulator.world = restore_snapshot(simulator.world, snapshot, self._episode >= 0)
+        values = [memory.check_state(state, batch) for memory, state in zip(memories, kept, strict=True)]
+        for memory, value in zip(memories, values, strict=True):
+            memory.load_state_dict(value)
         # A state from before the first reset has no horizon to go on with.
-        self._continue = bool((episode >= 0).all())
+        self._continue = bool((self._episode >= 0).all())

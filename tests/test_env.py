@@ -11,6 +11,7 @@ import toy
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
+from torchrl.envs import EnvCreator, ParallelEnv
 from torchrl.envs.utils import check_env_specs
 
 from nfv_torchrl import rewards
@@ -36,7 +37,8 @@ def masked_random(generator: torch.Generator | None = None):
     """A policy: any valid action, each as likely."""
 
     def act(mask: torch.Tensor) -> torch.Tensor:
-        return torch.multinomial(mask.float(), 1, generator=generator).squeeze(-1)
+        rows = torch.multinomial(mask.flatten(0, -2).float(), 1, generator=generator)
+        return rows.view(mask.shape[:-1])
 
     return TensorDictModule(act, in_keys=["action_mask"], out_keys=["action"])
 
@@ -300,6 +302,64 @@ def test_a_state_that_does_not_fit_is_refused():
     ]:
         with pytest.raises(CheckpointError, match=message):
             other.load_state_dict(state)
+
+
+def test_a_part_of_a_state_is_refused_unless_told_otherwise():
+    env, other = NFVEnv(tiny(), 2, seed=8), NFVEnv(tiny(), 2, seed=8)
+    rollout(env, 10)
+    part = {key: value for key, value in NFVEnv(tiny(), 2).state_dict().items() if key != "episode"}
+    for lacking in ({}, part):
+        with pytest.raises(CheckpointError, match="missing"):
+            env.load_state_dict(lacking)
+        env.load_state_dict(lacking, strict=False)
+    rollout(other, 10)
+    assert_same(rollout(env, 30), rollout(other, 30))
+
+
+# -------------------------------------------------------------------------------------------- TorchRL's own ways
+
+
+def two_tiny() -> NFVEnv:
+    return NFVEnv(tiny(), 2)
+
+
+def test_env_creator_and_workers():
+    creator = EnvCreator(two_tiny)
+    assert creator().rollout(2).shape == (2, 2)
+    parallel = ParallelEnv(2, creator, mp_start_method="fork")
+    try:
+        parallel.set_seed(3)
+        data = parallel.rollout(5, masked_random())
+    finally:
+        parallel.close()
+    assert data.shape == (2, 2, 5)
+    assert not torch.equal(data[0]["observation"], data[1]["observation"])  # workers have seeds of their own
+
+
+def test_random_actions_are_valid_and_follow_torchs_seed():
+    env = NFVEnv(tiny(mask="feasible", admission_control=True), 16)
+    runs = []
+    for _ in range(2):
+        env.set_seed(0)
+        torch.manual_seed(7)
+        runs.append(env.rollout(200, break_when_any_done=False))
+    assert_same(*runs)
+    taken = runs[0]["action_mask"].gather(-1, runs[0]["action"].unsqueeze(-1))
+    assert taken.all()
+    # Every valid action is as likely: so often is the last one, reject, taken.
+    share = (runs[0]["action"] == env.num_actions - 1).float().mean()
+    expected = (1 / runs[0]["action_mask"].sum(-1)).mean()
+    assert abs(share - expected) < 0.03
+    alone = env.rand_action()
+    assert alone["action"].shape == (16,)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 0.5, True])
+def test_a_seed_out_of_range_is_refused(seed):
+    with pytest.raises(ScenarioError, match=r"seed: .* is not a seed; use an integer"):
+        NFVEnv(tiny(), 2).set_seed(seed)
+    with pytest.raises(ScenarioError, match="seed"):
+        NFVEnv(tiny(), 2, seed=seed)
 
 
 # ----------------------------------------------------------------------------------------- answers and rewards

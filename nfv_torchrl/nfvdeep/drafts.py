@@ -386,18 +386,46 @@ def choose_rows(
 
 
 @part
+def _rest(drafts, b):
+    """Past the horizon there is only to refuse."""
+    drafts.state[b] = OPEN
+    drafts.mask[b, :] = False
+    drafts.mask[b, drafts.mask.shape[1] - 1] = True
+    drafts.flat[b] = 0.0
+
+
+@part
+def _request_in_hand(world, b):
+    e = world.env[b]
+    offered, carried = world.ledger.vm_offered[b], world.ledger.link_offered[b]
+    return _request(world.tables, world.rules, e.net, offered, carried, e.service, e.ingress, e.egress)
+
+
+@part
 def _begin_env(world, options, drafts, b):
-    """Begin a draft for environment b's request in hand; past the horizon there is only to refuse."""
+    """Begin a draft for environment b's request in hand."""
     e = world.env[b]
     if e.done == 1:
-        drafts.state[b] = OPEN
-        drafts.mask[b, :] = False
-        drafts.mask[b, drafts.mask.shape[1] - 1] = True
-        drafts.flat[b] = 0.0
+        _rest(drafts, b)
         return
-    offered, carried = world.ledger.vm_offered[b], world.ledger.link_offered[b]
-    problem = _request(world.tables, world.rules, e.net, offered, carried, e.service, e.ingress, e.egress)
+    problem = _request_in_hand(world, b)
     _begin(problem, world.tables, e.net, world.tables.delay_to[e.net, e.service], options, drafts, b)
+
+
+@kernel
+def revise_env(world, options, drafts, b):
+    """Find once more which nodes the next function of environment b's draft may go to, and what is seen of it."""
+    e = world.env[b]
+    if e.done == 1:
+        _rest(drafts, b)
+        return
+    problem = _request_in_hand(world, b)
+    refuse = drafts.mask.shape[1] - 1
+    if _find_nodes(problem, world.tables.delay_to[e.net, e.service], options, drafts, b) > 0:
+        drafts.mask[b, refuse] = options.may_refuse
+    else:
+        drafts.mask[b, refuse] = True
+    _observe(problem, world.tables, e.net, drafts, b)
 
 
 @kernel
@@ -424,8 +452,7 @@ def advance(world, options, drafts, choices):
         world.outcome[b, REASON] = NO_REASON
         world.outcome[b, DONE] = e.done
         if e.done == 0:
-            offered, carried = world.ledger.vm_offered[b], world.ledger.link_offered[b]
-            problem = _request(tables, world.rules, e.net, offered, carried, e.service, e.ingress, e.egress)
+            problem = _request_in_hand(world, b)
             _choose(problem, tables, e.net, tables.delay_to[e.net, e.service], options, drafts, b, choices[b])
             if drafts.state[b] == COMPLETE:
                 for k in range(drafts.steps[b]):

@@ -10,11 +10,12 @@ from tensordict import TensorDict
 from torchrl.data import Binary, Categorical, Unbounded
 
 from nfv_torchrl.env import NFVEnv
-from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.nfvdeep.draft_checks import restore_drafts
 from nfv_torchrl.nfvdeep.drafts import advance, begin_env, make_drafts
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
 from nfv_torchrl.nfvdeep.reward import Profit
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.state_checks import check_arrays
 
 
 class NFVdeepEnv(NFVEnv):
@@ -96,11 +97,12 @@ class NFVdeepEnv(NFVEnv):
         drafts = {name: torch.from_numpy(array.copy()) for name, array in self.drafts._asdict().items()}
         return super().state_dict(*args, **kwargs) | {"drafts": drafts}
 
-    def load_state_dict(self, state_dict, *args, **kwargs) -> None:
+    def _state_keys(self) -> set[str]:
+        return super()._state_keys() | {"drafts"}
+
+    def _load(self, state_dict) -> None:
         """See ``NFVEnv``."""
-        super().load_state_dict(state_dict, *args, **kwargs)
-        for name, array in self.drafts._asdict().items():
-            saved = state_dict["drafts"][name].numpy()
-            if saved.shape != array.shape:
-                raise CheckpointError(f"the checkpoint's {name} has shape {saved.shape}, this run's {array.shape}")
-            array[...] = saved
+        super()._load(state_dict)
+        saved = check_arrays("env.drafts", state_dict["drafts"])
+        world, started = self.simulator.world, self._episode >= 0
+        self.drafts = restore_drafts(world, self.planner.options, self.drafts, saved, started)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from tensordict import TensorDictBase
@@ -9,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Unbounded
 
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.state_checks import check_keys, check_tensor
 
 
 class MemoryObservation:
@@ -54,6 +57,17 @@ class MemoryObservation:
         """The memory of every environment."""
         return {} if self._kept is None else {self.key: self._kept.clone()}
 
-    def load_state_dict(self, state: dict) -> None:
+    def check_state(self, state: Any, batch: int) -> dict[str, Tensor]:
+        """``state`` if it is one of ``batch`` environments.
+
+        Raises:
+            CheckpointError: it is not.
+        """
+        check_keys("env.memories", state, (self.key,) if state else ())
+        for value in state.values():
+            check_tensor(f"env.memories.{self.key}", value, torch.float32, (batch, self.size))
+        return dict(state)
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Go on from ``state_dict()``."""
         self._kept = state[self.key].clone() if self.key in state else None

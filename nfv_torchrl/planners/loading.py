@@ -62,13 +62,12 @@ class Loader:
         vm_price = tables.vm_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.vm_unit_cost[net].shape))
         link_price = tables.link_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.link_unit_cost[net].shape))
         while True:
-            outcome = forward_planned(
-                self.simulator.world, b, slot, vm_price, link_price, self._scratch, self._plan
-            )
+            outcome = forward_planned(self.simulator.world, b, slot, vm_price, link_price, self._scratch, self._plan)
             if outcome == FINISHED:
                 break
             if outcome == NO_ROOM:
                 self.simulator.make_room_for(b)
             else:
                 self._scratch = grow_scratch(tables, self._scratch)
+        self.simulator.make_room_for(b)  # the last plan may have taken what the next step needs
         self.simulator.clear_outcome(b)

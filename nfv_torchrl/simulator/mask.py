@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.reasons import Reason
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
@@ -108,3 +108,10 @@ def write_mask(world, b):
         valid[b, count] = reject
         count += 1
     e.mask_count = count
+
+
+@kernel
+def write_masks(world):
+    """``write_mask`` for every environment."""
+    for b in range(world.env.shape[0]):
+        write_mask(world, b)

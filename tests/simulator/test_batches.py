@@ -149,7 +149,7 @@ def test_a_snapshot_that_does_not_fit_is_refused():
     scenario = paper_scenario(horizon=30)
     for other, message in [
         (Simulator(scenario, 3, one_hot=True), "2 environments"),
-        (Simulator(paper_scenario(nodes=12, horizon=30), 2, one_hot=True), "vm_offered"),
+        (Simulator(paper_scenario(nodes=12, horizon=30), 2, one_hot=True), "vm_reserved"),
         (Simulator(paper_scenario(horizon=31), 2, one_hot=True), "running.head"),
         (Simulator(scenario.replace(max_steps=20), 2, one_hot=True), "walk.action"),
         (Simulator(scenario, 2), "seen.flat"),
@@ -157,7 +157,7 @@ def test_a_snapshot_that_does_not_fit_is_refused():
         with pytest.raises(CheckpointError, match=message):
             restore_snapshot(other.world, snapshot)
     del snapshot["walk.action"]
-    with pytest.raises(CheckpointError, match="lacks walk"):
+    with pytest.raises(CheckpointError, match=r"walk\.action is missing"):
         restore_snapshot(started(2).world, snapshot)
 
 
