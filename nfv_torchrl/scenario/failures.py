@@ -9,6 +9,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.substrate import Substrate
+from nfv_torchrl.settings.values import parse
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class FailureModel:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
+            value = parse(getattr(self, field.name), float, f"failures.{field.name}")
             if not 0 <= value <= 1:
                 raise ScenarioError(f"failures.{field.name}: {value} is no probability; use a number in [0, 1]")
 
@@ -33,6 +34,14 @@ class FailureModel:
     def off(self) -> bool:
         """Whether nothing ever fails."""
         return self.p_fail_vm == 0 and self.p_fail_link == 0
+
+    def expected_events(self, substrate: Substrate, horizon: int) -> float:
+        """Mean number of failures and repairs in ``horizon`` slots, rounded up a little."""
+        vms, links = int(substrate.vm_count.sum()), substrate.num_links
+        return sum(
+            count * _expected_events(p_fail, self.p_repair, horizon)
+            for count, p_fail in ((vms, self.p_fail_vm), (links, self.p_fail_link))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +153,15 @@ def sample_timeline(
     up = np.concatenate([np.full(len(slots), repaired) for slots, _, repaired in events])
     order = np.lexsort((resource, ~up, slot))
     return FailureTimeline(slot[order], resource[order], up[order])
+
+
+def _expected_events(p_fail: float, p_repair: float, horizon: int) -> float:
+    """Of one resource. A cycle of failure and repair lasts 1 / p_fail - 1 + 1 / p_repair slots on average."""
+    if p_fail == 0:
+        return 0.0
+    if p_repair == 0:
+        return min(1.0, p_fail * horizon)
+    return 2 + 2 * horizon / (1 / p_fail - 1 + 1 / p_repair)
 
 
 def _what_can_fail(model: FailureModel, substrate: Substrate) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,14 @@ import networkx as nx
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.limits import MAX_NODES, check_memory, random_graph_parts
 from nfv_torchrl.scenario.resources import ResourceRanges, draw_links, draw_vms
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.substrate import Substrate
+from nfv_torchrl.settings.values import shown
+
+LARGEST_DEGREE = 1e9
+"""Far beyond a complete graph of the largest network."""
 
 
 def draw_random_substrate(nodes: int, seed: int, *, mean_degree: float = 4.0, **ranges: Any) -> Substrate:
@@ -30,9 +35,12 @@ def draw_random_substrate(nodes: int, seed: int, *, mean_degree: float = 4.0, **
     """
     if isinstance(nodes, bool) or not isinstance(nodes, int | np.integer) or nodes < 2:
         raise ScenarioError(f"nodes: {nodes!r} makes no network; use an integer of at least 2")
-    if not (np.isfinite(mean_degree) and mean_degree > 0):
+    if isinstance(mean_degree, str | bool) or not 0 < mean_degree <= LARGEST_DEGREE:
         raise ScenarioError(f"mean_degree: {mean_degree!r} is no degree; use a positive number, such as 4")
+    if nodes > MAX_NODES:
+        raise ScenarioError(f"nodes: {shown(nodes)}; use an integer of at most {MAX_NODES}")
     drawn_from = ResourceRanges(**ranges)
+    check_memory(random_graph_parts(int(nodes), _count_links(int(nodes), mean_degree), int(drawn_from.vms[1])))
     links = draw_random_links(int(nodes), seed, mean_degree)
     vms = draw_vms(nodes, seed, drawn_from)
     numbers = draw_links(len(links), seed, drawn_from)
@@ -59,6 +67,9 @@ def draw_random_links(nodes: int, seed: int, mean_degree: float) -> np.ndarray:
     u, v = np.sort(np.array(tree.edges, np.int64), axis=1).T
     in_tree[u, v] = True
     taken = in_tree[pairs[:, 0], pairs[:, 1]]
-    wanted = min(max(round(mean_degree * nodes / 2), nodes - 1), len(pairs))
-    taken[rng.choice(np.flatnonzero(~taken), size=wanted - (nodes - 1), replace=False)] = True
+    taken[rng.choice(np.flatnonzero(~taken), size=_count_links(nodes, mean_degree) - (nodes - 1), replace=False)] = True
     return pairs[taken].astype(np.int64)
+
+
+def _count_links(nodes: int, mean_degree: float) -> int:
+    return min(max(round(mean_degree * nodes / 2), nodes - 1), nodes * (nodes - 1) // 2)

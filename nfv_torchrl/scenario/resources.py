@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.limits import MAX_VMS
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 
@@ -44,6 +45,8 @@ class ResourceRanges:
         low, high = self.vms
         if low < 1 or int(low) != low or int(high) != high:
             raise ScenarioError(f"vms_min, vms_max: [{low}, {high}] are not VM counts; use integers from 1")
+        if high > MAX_VMS:
+            raise ScenarioError(f"vms_min, vms_max: [{low}, {high}]; use at most {MAX_VMS} VMs a node")
 
     def _check(self, name: str, low: float, high: float) -> None:
         hint = f"{'vms_min, vms_max' if name == 'vms' else name}: [{low}, {high}]"

@@ -14,14 +14,29 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.config import ScenarioConfig, parse_config
 from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline, sample_timeline
+from nfv_torchrl.scenario.limits import (
+    MAX_REQUESTS,
+    MAX_SLOTS,
+    MAX_STEPS,
+    Sizes,
+    check_memory,
+    environment_parts,
+    table_parts,
+    workload_parts,
+)
 from nfv_torchrl.scenario.services import ServiceCatalogue
 from nfv_torchrl.scenario.sources import build_substrate
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.workload import Workload, count_pairs, decode_pairs
+from nfv_torchrl.settings.values import parse, refuse, shown
 
 ENDPOINTS = ("catalogue", "uniform")
 MASKS = ("adjacency", "feasible")
+INTEGERS = ("horizon", "warmup", "max_steps")
+SWITCHES = ("colocation", "admission_control", "observe_lifetime")
+SHORTEST_MEAN, LONGEST_MEAN = 1e-6, 1e12
+"""s; mean lifetimes beyond make sums of delays and loads lose digits or overflow."""
 TARGET_RHO_TOLERANCE = 1e-6
 
 
@@ -71,34 +86,83 @@ class Scenario:
     workload_path: str | None = None
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         self._check_numbers()
         for key, known in (("endpoints", ENDPOINTS), ("mask", MASKS)):
             if getattr(self, key) not in known:
                 raise ScenarioError(f"{key}: {getattr(self, key)!r} is unknown; use one of {list(known)}")
         self._check_pairs()
+        self._check_size()
+
+    def _check_kinds(self) -> None:
+        """Values come from Python too, where no parser has seen them; numbers become Python's own, for JSON."""
+        for keys, kind in ((("name", "endpoints", "mask"), str), (INTEGERS, int), (SWITCHES, bool)):
+            for key in keys:
+                object.__setattr__(self, key, parse(getattr(self, key), kind, key))
+        for key in ("arrival_rate", "mean_lifetime"):
+            value = getattr(self, key)
+            if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+                refuse(key, value, "a number")
 
     def _check_numbers(self) -> None:
         generator(self.seed, Stream.TOPOLOGY)  # refuses what is no seed
-        for key in ("horizon", "max_steps"):
-            if getattr(self, key) < 1:
-                raise ScenarioError(f"{key}: {getattr(self, key)}; use an integer of at least 1")
+        for key, most in (("horizon", MAX_SLOTS), ("max_steps", MAX_STEPS)):
+            if not 1 <= getattr(self, key) <= most:
+                raise ScenarioError(f"{key}: {shown(getattr(self, key))}; use an integer from 1 to {most}")
         if not 0 <= self.warmup < self.horizon:
-            raise ScenarioError(f"warmup: {self.warmup} slots; use 0 or more, below the horizon of {self.horizon}")
-        doubled = 2 * self.arrival_rate
-        if not (math.isfinite(doubled) and doubled >= 1 and doubled == int(doubled)):
             raise ScenarioError(
-                f"arrival_rate: {self.arrival_rate}; arrivals are uniform in 0 .. 2 * arrival_rate, so use a positive "
-                "multiple of 0.5"
+                f"warmup: {shown(self.warmup)} slots; use 0 or more, below the horizon of {self.horizon}"
             )
-        if not (math.isfinite(self.mean_lifetime) and self.mean_lifetime > 0):
-            raise ScenarioError(f"mean_lifetime: {self.mean_lifetime} s; use a positive number")
+        if not (0.5 <= self.arrival_rate <= MAX_REQUESTS and 2 * self.arrival_rate == int(2 * self.arrival_rate)):
+            raise ScenarioError(
+                f"arrival_rate: {shown(self.arrival_rate)}; arrivals are uniform in 0 .. 2 * arrival_rate, so use a "
+                f"positive multiple of 0.5, at most {MAX_REQUESTS}"
+            )
+        if not SHORTEST_MEAN <= self.mean_lifetime <= LONGEST_MEAN:
+            raise ScenarioError(
+                f"mean_lifetime: {shown(self.mean_lifetime)} s; use a positive number, "
+                f"from {SHORTEST_MEAN:g} to {LONGEST_MEAN:g}"
+            )
+
+    def _check_size(self) -> None:
+        """Refuse what cannot be held: one environment, one workload, the tables."""
+        requests = self.arrival_rate * self.horizon
+        if self.workload_path is None and requests > MAX_REQUESTS:
+            raise ScenarioError(
+                f"arrival_rate * horizon: {requests:.4g} requests; use at most {MAX_REQUESTS}; lower one of the two"
+            )
+        sizes = self.sizes
+        check_memory(table_parts(sizes), workload_parts(sizes), environment_parts(sizes))
+
+    @property
+    def sizes(self) -> Sizes:
+        """What the memory of an experiment follows from; requests: as expected, or of a file that was read."""
+        from_file = vars(self).get("file_workload")
+        requests = self.arrival_rate * self.horizon if from_file is None else len(from_file)
+        # Twice the average requests that the VMs can carry: who rejects the large ones carries more of the small.
+        room = 2 * self.substrate.total_vm_capacity / self.catalogue.mean_load
+        return Sizes(
+            nodes=self.substrate.num_nodes,
+            vms=self.substrate.max_vms,
+            links=self.substrate.num_links,
+            services=len(self.catalogue.types),
+            functions=int(self.catalogue.chain_length.max()),
+            horizon=self.horizon,
+            requests=requests,
+            running=min(requests, requests * self.mean_lifetime / self.horizon, room),
+            max_steps=self.max_steps,
+            events=self.failures.expected_events(self.substrate, self.horizon),
+        )
 
     def _check_pairs(self) -> None:
         if (self.endpoints == "catalogue") != (self.endpoint_pairs is not None):
             raise ScenarioError("endpoint_pairs: needed with endpoints=catalogue, must be None with endpoints=uniform")
         if self.endpoint_pairs is None:
             return
-        pairs, types = self.endpoint_pairs, len(self.catalogue.types)
+        pairs, types = np.asarray(self.endpoint_pairs), len(self.catalogue.types)
+        if pairs.dtype.kind not in "iu":
+            raise ScenarioError(f"endpoint_pairs: are {pairs.dtype}; nodes are integers")
+        object.__setattr__(self, "endpoint_pairs", pairs.astype(np.int64, copy=False))
         if pairs.ndim != 3 or pairs.shape[0] != types or pairs.shape[1] < 1 or pairs.shape[2] != 2:
             raise ScenarioError(f"endpoint_pairs: shape {list(pairs.shape)}; [{types}, P, 2] was expected")
         if pairs.min() < 0 or pairs.max() >= self.substrate.num_nodes:
@@ -188,13 +252,28 @@ def draw_endpoint_pairs(types: int, pairs_per_service: int, substrate: Substrate
         ScenarioError: the network has fewer than P such pairs.
     """
     possible = count_pairs(substrate.num_nodes)
+    parse(pairs_per_service, int, "pairs_per_service")
     if not 1 <= pairs_per_service <= possible:
         raise ScenarioError(
             f"pairs_per_service: {pairs_per_service}; a network of {substrate.num_nodes} nodes has {possible} distinct "
             f"(ingress, egress) pairs, so use 1 .. {possible}, or endpoints=uniform"
         )
-    codes = [generator(seed, Stream.CATALOGUE, kind).permutation(possible)[:pairs_per_service] for kind in range(types)]
+    check_memory(
+        {
+            f"pairs_per_service={pairs_per_service}": 32.0 * types * pairs_per_service,
+            f"substrate.nodes={substrate.num_nodes}": 8.0 * possible,
+        }
+    )
+    codes = [
+        _first_of_permutation(generator(seed, Stream.CATALOGUE, kind), possible, pairs_per_service)
+        for kind in range(types)
+    ]
     return np.stack(decode_pairs(np.array(codes, np.int64), substrate), axis=-1)
+
+
+def _first_of_permutation(rng: np.random.Generator, possible: int, count: int) -> np.ndarray:
+    """The first numbers of a permutation, int64 [count]: a copy, so that the rest is given back."""
+    return rng.permutation(possible)[:count].copy()
 
 
 def paper_scenario(nodes: int = 10, seed: int = 0, **changes: Any) -> Scenario:

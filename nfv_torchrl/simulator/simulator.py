@@ -10,6 +10,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureTimeline
+from nfv_torchrl.scenario.limits import Sizes, check_memory, environment_parts, table_parts, times
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
 from nfv_torchrl.simulator import kernels
@@ -73,12 +74,21 @@ class Simulator:
         self.threads = max(1, min(threads, batch_size))
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         first = self.scenarios[0]
+        self._check_size(record)
         net = np.arange(batch_size) % len(self.scenarios)
         tables = build_tables([s.substrate for s in self.scenarios], first.catalogue)
         self.world: World = new_world(tables, scenario_rules(first), net, first.horizon, first.warmup, one_hot, record)
         self._service_shares = [_service_shares(scenario) for scenario in self.scenarios]
         self.world.env["done"] = 1
         self._grow_until_roomy()
+
+    def _check_size(self, record: bool) -> None:
+        """Refuse a batch that would not fit into memory, with what its tables take."""
+        largest = Sizes(*(max(sizes) for sizes in zip(*(s.sizes for s in self.scenarios), strict=True)))
+        check_memory(
+            times(environment_parts(largest, record=record), self.batch_size, "environments"),
+            times(table_parts(largest), len(self.scenarios), "networks"),
+        )
 
     def _check_together(self) -> None:
         if not self.scenarios:
