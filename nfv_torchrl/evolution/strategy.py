@@ -8,6 +8,7 @@ from typing import Any
 import cma
 import numpy as np
 
+from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.scenario.streams import Stream, generator
 
 
@@ -78,7 +79,13 @@ class Strategy:
         return {"fitness": [list(values) for values in self._fitness]}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go through the generations of ``state_dict()`` again; for a new strategy of the same arguments."""
-        for values in state["fitness"]:
+        """Go through the generations of ``state_dict()`` again; for a new strategy of the same arguments.
+
+        Raises:
+            CheckpointError: not the finite fitness of a whole population in every generation.
+        """
+        for number, values in enumerate(state["fitness"]):
+            if len(values) != self.population or not np.isfinite(np.asarray(values, np.float64)).all():
+                raise CheckpointError(f"generation {number} is not {self.population} finite numbers")
             self.ask()
             self.tell(values)

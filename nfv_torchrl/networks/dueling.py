@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from torch import Tensor, nn
 
 from nfv_torchrl.networks.base import QNetwork, Sizes
-from nfv_torchrl.networks.layers import perceptron
+from nfv_torchrl.networks.layers import activation_class, perceptron
 
 
 class DuelingNetwork(QNetwork):
@@ -49,7 +49,7 @@ class DuelingNetwork(QNetwork):
         self.trunk: nn.Module = nn.Identity()
         if trunk:
             layers = perceptron(sizes.observation, width, trunk[:-1], activation, noisy=noisy)
-            self.trunk = nn.Sequential(layers, getattr(nn, activation)())
+            self.trunk = nn.Sequential(layers, activation_class(activation)())
         self.value = perceptron(width, outputs, [last], activation, noisy=noisy)
         self.advantage = perceptron(width, sizes.actions * outputs, [last], activation, noisy=noisy)
 

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torchrl.modules import MLP
 
+from nfv_torchrl.errors import ScenarioError
+
 
 def perceptron(
     inputs: int, outputs: int, hidden: Sequence[int], activation: str = "ReLU", *, noisy: bool = False
@@ -27,9 +29,21 @@ def perceptron(
         in_features=inputs,
         out_features=outputs,
         num_cells=list(hidden),
-        activation_class=getattr(nn, activation),
+        activation_class=activation_class(activation),
         layer_class=NoisyLinear if noisy else nn.Linear,
     )
+
+
+def activation_class(name: str) -> type[nn.Module]:
+    """The activation of ``torch.nn`` with that name.
+
+    Raises:
+        ScenarioError: there is none.
+    """
+    found = getattr(nn.modules.activation, name, None) if isinstance(name, str) else None
+    if not isinstance(found, type) or found.__module__ != nn.modules.activation.__name__:
+        raise ScenarioError(f"network.activation: {name!r:.60} is no activation of torch.nn; use ReLU or Tanh, say")
+    return found
 
 
 class NoisyLinear(nn.Module):

@@ -25,6 +25,9 @@ RULES = {"priced": Rule(64.0, None), "priced_admit": Rule(32.0, 75.0)}
 
 BEGINNINGS = ("myopic_optimal", *RULES)
 
+LARGEST_UNIT = 1e9
+"""Prices from any float32 weights stay finite in float64."""
+
 
 class PriceHead(nn.Module):
     r"""One function: :math:`f(x) = w \cdot (x, 1) + \sum_h v_h \tanh(u_h \cdot (x, 1))`.
@@ -61,7 +64,7 @@ class PriceNetwork(nn.Module):
             the steps of a search are.
 
     Raises:
-        ScenarioError: ``hidden`` is negative, ``price_unit`` not positive, or there is no such ``begin``.
+        ScenarioError: ``hidden`` is negative, ``price_unit`` not in (0, 1e9], or there is no such ``begin``.
     """
 
     any_size = True
@@ -70,8 +73,8 @@ class PriceNetwork(nn.Module):
         super().__init__()
         if hidden < 0:
             raise ScenarioError(f"network.hidden: {hidden}; use 0 (linear functions) or more")
-        if not price_unit > 0:
-            raise ScenarioError(f"network.price_unit: {price_unit}; use a positive number")
+        if not 0 < price_unit <= LARGEST_UNIT:
+            raise ScenarioError(f"network.price_unit: {price_unit}; use a number above 0, at most {LARGEST_UNIT:g}")
         if begin not in BEGINNINGS:
             raise ScenarioError(f"network.begin: {begin!r}; use one of {', '.join(BEGINNINGS)}")
         self.price_unit = float(price_unit)

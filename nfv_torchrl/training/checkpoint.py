@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import re
 import warnings
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.training.archive import check_archive, check_values, machine_memory
 
 _NAME = re.compile(r"checkpoint_(\d+)\.pt")
 
@@ -35,21 +35,23 @@ def save_file(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
     return target
 
 
-def load_file(path: str | os.PathLike[str]) -> dict[str, Any]:
+def load_file(path: str | os.PathLike[str], *, largest: int | None = None) -> dict[str, Any]:
     """Read what ``save_file`` wrote, with every byte checked; nothing in the file is executed.
 
+    Args:
+        path: the file.
+        largest: bytes that are read at most; None: as much as the machine has memory.
+
     Raises:
-        CheckpointError: the file is missing, truncated, damaged or not a checkpoint.
+        CheckpointError: the file is missing, too large, truncated, damaged or not a checkpoint.
     """
     source = Path(path)
     if not source.is_file():
         raise CheckpointError(f"there is no checkpoint {source}; give the path of a .pt file that a recipe wrote")
     try:
-        with zipfile.ZipFile(source) as archive:
-            damaged = archive.testzip()
-        if damaged is not None:
-            raise CheckpointError(f"checkpoint {source} is damaged (at {damaged}); use an older one")
+        check_archive(source, machine_memory() if largest is None else largest)
         content = torch.load(source, map_location="cpu", weights_only=True)
+        check_values(source, content)
     except CheckpointError:
         raise
     except Exception as error:  # whatever a damaged file makes the readers raise

@@ -6,18 +6,36 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hydra.utils import instantiate
-from torch import nn
+from torch import Tensor, nn
 
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.evaluation.methods import Method, PlannerMethod
 from nfv_torchrl.networks import QNetwork, Sizes
-from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.scenario import MASKS, Scenario
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.acting import acting_method
+from nfv_torchrl.training.building import building, factory
+from nfv_torchrl.training.checking import check_keys, check_like, check_tensor
 from nfv_torchrl.training.checkpoint import load_file, save_file
 
 FORMAT = 1
+LARGEST = 10**9
+"""Bytes of a policy file that is read; those of docs/results have some 50,000."""
+
+KEYS: Mapping[str, type] = {
+    "format": int,
+    "weights": dict,
+    "sizes": dict,
+    "network": dict,
+    "loss": dict,
+    "one_hot": bool,
+    "planner": dict,
+    "scenario": str,
+    "mask": str,
+    "admission_control": bool,
+    "scores": dict,
+}
+"""What a policy file holds, and of which kind it is."""
 
 
 def policy_content(
@@ -60,36 +78,36 @@ def load_policy(
     name: str = "checkpoint",
     trusted_packages: Sequence[str] = (),
 ) -> Method:
-    """The greedy policy of a file (``best.pt`` or a full checkpoint of a run) for ``scenario``.
+    """The greedy policy of a file (``best.pt`` of a run) for ``scenario``.
 
     It acts under the mask that it was trained with, and may always reject if it could in training. A policy that was
     trained to be asked by a planner (NFVdeep) comes as that planner's method. What stands in for a loss in the file
     (the policies of ``evolution``) says by its own ``method(name)`` how it acts.
+
+    The file may be anyone's: it is read without pickle, builds only the classes that ``training/building.py`` lists,
+    from plain arguments, and its weights have to be finite and of the shapes that these classes have.
 
     Args:
         path: the file.
         scenario: what it is to act on, one scenario or the several of one batch; networks of fixed size need the
             sizes they were trained on.
         name: name of the method in tables and folders.
-        trusted_packages: a policy file names the classes of its network and loss. Those of this project are built as
-            they are; others only from packages named here, because building an object runs its code.
+        trusted_packages: packages of your own whose classes the file may name too. Importing them runs their code.
 
     Raises:
-        CheckpointError: unreadable, made for another network, or of a package that is not trusted.
+        CheckpointError: unreadable, made for another network, or with anything in it that a policy has not.
     """
-    content = load_file(path)
-    content = content.get("policy", content)
-    if content.get("format") != FORMAT:
-        raise CheckpointError(f"{path} is not a policy file of this version (format {content.get('format')!r})")
-    for part in ("network", "loss", "planner"):
-        _check_target(path, content[part], trusted_packages)
-    network = instantiate(content["network"])
+    content = _read(path)
+    network = factory(path, "network", content["network"], trusted_packages)
+    make_loss = factory(path, "loss", content["loss"], trusted_packages)
+    make_planner = factory(path, "planner", content["planner"], trusted_packages) if content["planner"] else None
     scenarios = [scenario] if isinstance(scenario, Scenario) else list(scenario)
     simulator = Simulator(scenarios, len(scenarios), one_hot=content["one_hot"])
-    planner = instantiate(content["planner"])
-    sizes = planner.sizes(simulator) if planner else Sizes.of(simulator)
-    loss = instantiate(content["loss"], network=network, sizes=sizes)
-    module = q_network(loss)
+    with building(path, content["weights"]):
+        planner = make_planner() if make_planner else None
+        sizes = planner.sizes(simulator) if planner else Sizes.of(simulator)
+        loss = make_loss(network=network, sizes=sizes)
+        module = q_network(loss)
     trained = Sizes(**content["sizes"])
     fits = trained == sizes or (module.any_size and trained.services == sizes.services)
     if not fits:
@@ -98,6 +116,7 @@ def load_policy(
             f"observations; {scenarios[0].name} has {sizes.actions} and {sizes.observation}. Evaluate it on the "
             "scenario (and scenario.seed sizes) it was trained on, or train with network=candidate, which fits any size"
         )
+    check_like(path, "weights", content["weights"], loss.state_dict())
     loss.load_state_dict(content["weights"])
     loss.actor.eval()
     if hasattr(loss, "method"):
@@ -124,23 +143,50 @@ def load_weights(network: nn.Module, path: str | os.PathLike[str]) -> None:
     Raises:
         CheckpointError: unreadable, or its network has other weights than this one.
     """
-    content = load_file(path)
-    weights = content.get("policy", content).get("weights", {})
+    weights = _read(path)["weights"]
     own = network.state_dict()
     # Losses keep their networks under names of their own; the end of a name is the network's.
-    found = {name: next((value for key, value in weights.items() if _is_weight(key, name)), None) for name in own}
-    for name, value in found.items():
-        if value is None or value.shape != own[name].shape:
-            theirs = "nothing" if value is None else list(value.shape)
+    found = {name: next((key for key in weights if _is_weight(key, name)), None) for name in own}
+    for name, key in found.items():
+        if key is None:
             raise CheckpointError(
-                f"{path} has {theirs} where this network has {name} {list(own[name].shape)}; give the settings of "
+                f"{path} has nothing where this network has {name} {list(own[name].shape)}; give the settings of "
                 "network= that the file was trained with"
             )
-    network.load_state_dict(found)
+        check_tensor(path, f"weights.{key}", weights[key], own[name])
+    network.load_state_dict({name: weights[key] for name, key in found.items() if key is not None})
 
 
 def _is_weight(key: str, name: str) -> bool:
     return not key.startswith("target_") and f".{key}".endswith(f".{name}")
+
+
+def _read(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The content of a policy file, each entry of the kind it has to be; nothing is built of it.
+
+    Raises:
+        CheckpointError: unreadable, of another format, or with an entry missing or of another kind.
+    """
+    content = load_file(path, largest=LARGEST)
+    if "format" not in content and "config" in content:
+        raise CheckpointError(f"{path} is a checkpoint to go on with, not a policy; give the best.pt beside it")
+    if type(content.get("format")) is not int or content["format"] != FORMAT:
+        raise CheckpointError(f"{path} is not a policy file of this version; its format is not {FORMAT}")
+    check_keys(path, "a policy file", content, KEYS)
+    for key, kind in KEYS.items():
+        if type(content[key]) is not kind:
+            found = type(content[key]).__name__
+            raise CheckpointError(f"{path}: {key} is a {found}, not a {kind.__name__}; it is no policy file")
+    for key, tensor in content["weights"].items():
+        if not isinstance(key, str) or not isinstance(tensor, Tensor):
+            raise CheckpointError(f"{path}: weights.{key} is a {type(tensor).__name__}, not a tensor")
+    for key, score in content["scores"].items():
+        if type(score) not in (int, float):
+            raise CheckpointError(f"{path}: scores.{key} is a {type(score).__name__}, not a number")
+    check_like(path, "sizes", content["sizes"], dict.fromkeys(Sizes._fields, 0))
+    if content["mask"] not in MASKS:
+        raise CheckpointError(f"{path}: mask is {content['mask']!r:.60}; it has to be one of {', '.join(MASKS)}")
+    return content
 
 
 def q_network(loss: Any) -> QNetwork:
@@ -151,20 +197,3 @@ def q_network(loss: Any) -> QNetwork:
         if isinstance(module, QNetwork) or hasattr(module, "any_size"):
             return module
     raise CheckpointError("the loss's actor holds no QNetwork; derive the network from nfv_torchrl.networks.QNetwork")
-
-
-def _check_target(path: Any, config: Any, trusted_packages: Sequence[str]) -> None:
-    """Refuse a config that would call anything outside the trusted packages, at any depth."""
-    if isinstance(config, list | tuple):
-        for item in config:
-            _check_target(path, item, trusted_packages)
-    if not isinstance(config, Mapping):
-        return
-    target = str(config.get("_target_", ""))
-    if target and target.split(".")[0] not in {"nfv_torchrl", *trusted_packages}:
-        raise CheckpointError(
-            f"{path} asks for {target}, which is not part of this project; if you trust it, name its package in "
-            "trusted_packages"
-        )
-    for value in config.values():
-        _check_target(path, value, trusted_packages)

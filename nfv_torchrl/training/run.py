@@ -22,6 +22,7 @@ from nfv_torchrl.files import write_atomically
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.acting import acting_method
+from nfv_torchrl.training.checking import check_parts, load_part
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import policy_content, q_network, save_policy
@@ -107,14 +108,18 @@ class RunFolder:
         if not self.resume:
             return
         path, content = self.checkpoints.load_newest()
-        changed = sorted(_differences(content["config"], self.config))
+        config = content.get("config")
+        if not isinstance(config, Mapping):
+            raise CheckpointError(f"{path} lacks 'config'; it is no checkpoint of a run, use another one")
+        changed = sorted(_differences(config, self.config))
         if changed:
             raise CheckpointError(
                 f"{path} was written with another config ({', '.join(changed)} differ); resume with the settings of "
                 f"{self.path / 'config.yaml'}, or start a new run in another run_dir"
             )
+        check_parts(path, content, state)
         for name, part in state.items():
-            part.load_state_dict(content[name])
+            load_part(path, name, part, content[name])
         self._random_numbers = content["rng"]
         print(f"Resumed from {path}.")
 
