@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from nfv_torchrl import rewards
@@ -16,7 +16,8 @@ from nfv_torchrl.observations import MemoryObservation, ObservationPart, Request
 from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import LARGEST_SEED, Stream, check_seed, generator
-from nfv_torchrl.simulator import OUTCOME, Simulator
+from nfv_torchrl.simulator import OUTCOME, REASON_NAMES, Simulator
+from nfv_torchrl.simulator.reasons import NO_REASON
 from nfv_torchrl.simulator.snapshot import restore_snapshot, take_snapshot
 from nfv_torchrl.simulator.state import ACCEPTED, DONE, REASON, REQUEST_COST, REQUEST_DONE
 from nfv_torchrl.state_checks import check_array, check_arrays, check_keys, check_list, check_whole
@@ -96,7 +97,7 @@ class NFVEnv(EnvBase):
             "action_mask": Binary(self.num_actions, shape=(*batch, self.num_actions), dtype=torch.bool),
             "request_done": Binary(1, shape=(*batch, 1), dtype=torch.bool),
             "accepted": Binary(1, shape=(*batch, 1), dtype=torch.bool),
-            "rejection_reason": Unbounded((*batch, 1), dtype=torch.int64),
+            "rejection_reason": Bounded(NO_REASON, len(REASON_NAMES) - 1, (*batch, 1), dtype=torch.int64),
             "request_cost": Unbounded((*batch, 1), dtype=torch.float32),
             "statistics": Unbounded((*batch, len(OUTCOME)), dtype=torch.float32),
         }

@@ -62,22 +62,25 @@ def main(cfg: DictConfig) -> None:
     loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
 
     # A dataset that does not fit is refused before the run's folder is made.
-    origin = {key: config[key] for key in ORIGIN}
-    given = Dataset(cfg.dataset, origin, loss.in_keys) if cfg.dataset else None
+    env = NFVEnv(
+        scenario,
+        cfg.record.num_envs,
+        reward=instantiate(cfg.reward),
+        one_hot=cfg.one_hot,
+        observations=q_network(loss).observations(),
+        stagger=cfg.stagger,
+        seed=cfg.record.seed,
+    )
+    recording = {"origin": {key: config[key] for key in ORIGIN}, "env": env}
+    recording |= {"frames": cfg.record.frames, "steps": cfg.record.steps}
+    given = Dataset(cfg.dataset, **recording) if cfg.dataset else None
+    if given and given.complete:
+        given.check()
     folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.saving.keep)
-    dataset = given or Dataset(folder.path / "dataset", origin, loss.in_keys)
+    dataset = given or Dataset(folder.path / "dataset", **recording)
     if not dataset.complete:
-        env = NFVEnv(
-            scenario,
-            cfg.record.num_envs,
-            reward=instantiate(cfg.reward),
-            one_hot=cfg.one_hot,
-            observations=q_network(loss).observations(),
-            stagger=cfg.stagger,
-            seed=cfg.record.seed,
-        )
         with tqdm(total=cfg.record.frames, desc=f"record {method.name}", unit="frame", unit_scale=True) as bar:
-            dataset.record(env, method, frames=cfg.record.frames, steps=cfg.record.steps, progress=bar.update)
+            dataset.record(method, bar.update)
 
     # Everything that was recorded, in memory, as the loss wants it.
     recorded = TrainingWindow(tuple(kind.name for kind in scenario.catalogue.types), scenario.warmup)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from tensordict import TensorDict
-from torchrl.data import Binary, Composite, Unbounded
+from torchrl.data import Binary, Categorical, Composite, Unbounded
 
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
@@ -228,7 +228,7 @@ class CandidateObservation:
         return {
             "candidates": Composite(
                 features=Unbounded((*batch, rows, features), dtype=torch.float32),
-                action=Unbounded((*batch, rows), dtype=torch.int64),
+                action=Categorical(simulator.num_actions, shape=(*batch, rows), dtype=torch.int64),
                 mask=Binary(rows, shape=(*batch, rows), dtype=torch.bool),
                 shape=batch,
             )

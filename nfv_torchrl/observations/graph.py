@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from tensordict import TensorDict
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Categorical, Composite, Unbounded
 
 from nfv_torchrl.observations.request import current_requests
 from nfv_torchrl.simulator import Simulator
@@ -54,7 +54,7 @@ class GraphObservation:
             "graph": Composite(
                 vms=Unbounded((*batch, nodes, vms, len(VM_FEATURES)), dtype=torch.float32),
                 links=Unbounded((*batch, links, len(LINK_FEATURES)), dtype=torch.float32),
-                link_ends=Unbounded((*batch, links, 2), dtype=torch.int64),
+                link_ends=Categorical(nodes, shape=(*batch, links, 2), dtype=torch.int64),
                 nodes=Unbounded((*batch, nodes, len(NODE_FEATURES)), dtype=torch.float32),
                 shape=batch,
             )

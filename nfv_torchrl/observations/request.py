@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from tensordict import TensorDict
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Categorical, Composite, Unbounded
 
 from nfv_torchrl.simulator import Simulator
 
@@ -24,7 +24,11 @@ class RequestObservation:
     def specs(self, simulator: Simulator) -> dict:
         """See ``ObservationPart``."""
         batch = torch.Size([simulator.batch_size])
-        spec = {name: Unbounded(batch, dtype=torch.int64) for name in INTEGERS}
+        tables = simulator.tables
+        services, functions = tables.load.shape
+        nodes = tables.vm_count.shape[1]
+        ends = {"service": services, "function": functions + 1}  # a whole chain is placed before the walk ends
+        spec = {name: Categorical(ends.get(name, nodes), shape=batch, dtype=torch.int64) for name in INTEGERS}
         spec |= {name: Unbounded(batch, dtype=torch.float32) for name in self._numbers(simulator)}
         return {"request": Composite(spec, shape=batch)}
 

@@ -148,9 +148,10 @@ def load_weights(network: nn.Module, path: str | os.PathLike[str]) -> None:
     # Losses keep their networks under names of their own; the end of a name is the network's.
     found = {name: next((key for key in weights if _is_weight(key, name)), None) for name in own}
     for name, key in found.items():
-        if key is None:
+        if key is None or weights[key].shape != own[name].shape:
+            theirs = "nothing" if key is None else list(weights[key].shape)
             raise CheckpointError(
-                f"{path} has nothing where this network has {name} {list(own[name].shape)}; give the settings of "
+                f"{path} has {theirs} where this network has {name} {list(own[name].shape)}; give the settings of "
                 "network= that the file was trained with"
             )
         check_tensor(path, f"weights.{key}", weights[key], own[name])
