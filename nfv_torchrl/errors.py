@@ -15,3 +15,8 @@ class CheckpointError(RuntimeError):
 
 class AuditError(RuntimeError):
     """Written decisions that contradict the rules of the model or the numbers reported with them."""
+
+
+def one_line(error: BaseException) -> str:
+    """What an error of a library says, in one line of at most 200 characters, for a message of ours."""
+    return f"{' '.join(str(error).split()) or type(error).__name__:.200}"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -19,7 +18,7 @@ from torch import nn
 from torch.overrides import TorchFunctionMode
 
 from nfv_torchrl import losses, networks
-from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.errors import CheckpointError, one_line
 from nfv_torchrl.evolution.policies import CandidatePolicy, PricePolicy
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
@@ -69,7 +68,7 @@ MOST_VALUES = 1000
 """Numbers and strings among the arguments of one class."""
 MOST_DEPTH = 8
 """Lists in lists among them."""
-LARGEST_INTEGER = 2**53
+LARGEST = 2**53
 
 
 def factory(path: Place, part: str, config: Mapping[str, Any], trusted_packages: Sequence[str] = ()) -> Callable:
@@ -108,7 +107,7 @@ def building(path: Place, weights: Mapping[str, torch.Tensor]) -> Iterator[None]
     except CheckpointError:
         raise
     except Exception as error:  # a stranger's arguments can make a constructor raise anything
-        raise CheckpointError(f"{path} cannot be built ({error}); its network, loss or planner is not valid") from error
+        raise CheckpointError(f"{path} holds no valid network, loss or planner ({one_line(error)})") from error
 
 
 class _Allowance(TorchFunctionMode):
@@ -153,7 +152,7 @@ def _class_of(path: Place, part: str, module: str, name: str, package: str) -> t
     try:
         found = vars(importlib.import_module(module)).get(name)
     except Exception as error:  # importing runs the package's own code
-        raise CheckpointError(f"{path} asks for {target}, but {module} cannot be imported ({error})") from error
+        raise CheckpointError(f"{path} asks for {target}, which cannot be imported ({one_line(error)})") from error
     if not isinstance(found, type) or not _inside(found.__module__, package) or not issubclass(found, BASES[part]):
         kind = "class" if BASES[part] is object else f"{BASES[part].__name__} class"
         raise CheckpointError(f"{path} asks for {target}, which is no {kind} that {package} defines")
@@ -189,5 +188,5 @@ def _check_value(path: Place, where: str, value: Any) -> None:
         raise CheckpointError(f"{path}: {where} is {value!r:.60}; a policy file holds values, nothing to be resolved")
     if type(value) not in (type(None), bool, int, float, str):
         raise CheckpointError(f"{path}: {where} is a {type(value).__name__}; arguments are numbers, strings and lists")
-    if isinstance(value, int | float) and not (math.isfinite(value) and abs(value) < LARGEST_INTEGER):
+    if isinstance(value, int | float) and not abs(value) < LARGEST:  # so of a NaN
         raise CheckpointError(f"{path}: {where} is no finite number below 2^53")

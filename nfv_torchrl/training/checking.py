@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torchrl.checkpoint import GlobalRNGState
 
-from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.errors import CheckpointError, one_line
 
 Place = str | os.PathLike[str]
 
@@ -57,7 +57,7 @@ def load_part(path: Place, name: str, part: Any, state: Any) -> None:
         raise CheckpointError(f"{path}: {name}: {error}") from error
     except Exception as error:  # a stranger's values can make any reader raise anything
         raise CheckpointError(
-            f"{path}: {name} cannot be loaded ({type(error).__name__}: {error}); use another checkpoint"
+            f"{path}: {name} cannot be loaded ({type(error).__name__}: {one_line(error)}); use another checkpoint"
         ) from error
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.errors import CheckpointError, one_line
 from nfv_torchrl.training.archive import check_archive, check_values, machine_memory
 
 _NAME = re.compile(r"checkpoint_(\d+)\.pt")
@@ -55,7 +55,9 @@ def load_file(path: str | os.PathLike[str], *, largest: int | None = None) -> di
     except CheckpointError:
         raise
     except Exception as error:  # whatever a damaged file makes the readers raise
-        raise CheckpointError(f"{source} is truncated or not a checkpoint ({error}); use another one") from error
+        raise CheckpointError(
+            f"{source} is truncated or not a checkpoint ({one_line(error)}); use another one"
+        ) from error
     if not isinstance(content, dict):
         raise CheckpointError(f"{source} holds a {type(content).__name__}, not a checkpoint of this project")
     return content

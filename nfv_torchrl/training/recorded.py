@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Categorical
 
 from nfv_torchrl.env import NFVEnv
-from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.errors import ScenarioError, one_line
 from nfv_torchrl.simulator import REASON_NAMES
 from nfv_torchrl.simulator.state import ACCEPTED, REASON, REQUEST_DONE, SERVICE
 
@@ -45,7 +45,7 @@ def read_array(path: Path, form: Form) -> np.ndarray:
         # Not np.load: that would open archives too. Copy on write, as torch wants arrays it may write to.
         array = np.lib.format.open_memmap(path, mode="c")
     except Exception as error:  # a damaged header can make the reader raise anything
-        raise ScenarioError(f"dataset: {path} is no array of plain numbers ({error}); {REMEDY}") from error
+        raise ScenarioError(f"dataset: {path} is no array of plain numbers ({one_line(error)}); {REMEDY}") from error
     if array.dtype != form.dtype or array.shape != form.shape:
         raise ScenarioError(
             f"dataset: {path} is {array.dtype} {list(array.shape)}, not {form.dtype} {list(form.shape)}; {REMEDY}"
