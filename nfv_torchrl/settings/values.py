@@ -53,10 +53,10 @@ class Bounds(Rule):
     def describe(self, kind: str) -> str:
         """See ``Rule``."""
         if self.above is not None:
-            return f"{kind} above {self.above:g}" + ("" if self.at_most is None else f", at most {self.at_most:.10g}")
+            return f"{kind} above {self.above:,}" + ("" if self.at_most is None else f", at most {self.at_most:,}")
         if self.at_most is None:
-            return f"{kind} of at least {self.at_least:g}"
-        return f"{kind} from {self.at_least:g} to {self.at_most:.10g}"
+            return f"{kind} of at least {self.at_least:,}"
+        return f"{kind} from {self.at_least:,} to {self.at_most:,}"
 
     def allows(self, value: Any) -> bool:
         """See ``Rule``."""
@@ -90,13 +90,62 @@ class OneOf(Rule):
         return value in self.choices
 
 
-Count = Annotated[int, Exact(), Bounds(at_least=1)]
-Natural = Annotated[int, Exact(), Bounds(at_least=0)]
+class NotEmpty(Rule):
+    """A list with at least one entry."""
+
+    def describe(self, kind: str) -> str:
+        """See ``Rule``."""
+        return f"{kind}, at least one"
+
+    def allows(self, value: Any) -> bool:
+        """See ``Rule``."""
+        return bool(value)
+
+
+class Seeds(Rule):
+    """See ``list_of_seeds``."""
+
+    def describe(self, kind: str) -> str:
+        """See ``Rule``."""
+        return f"a number of seeds from 1 to {MOST_SEEDS:,}, or a list of different integers of at least 0"
+
+    def check(self, value: Any, where: str, expected: str) -> None:
+        """See ``Rule``."""
+        list_of_seeds(where, value)
+
+
+LARGEST = 10**12
+MOST_SEEDS = 100_000
+Count = Annotated[int, Exact(), Bounds(at_least=1, at_most=LARGEST)]
+Natural = Annotated[int, Exact(), Bounds(at_least=0, at_most=LARGEST)]
+Threads = Annotated[int, Exact(), Bounds(at_least=1, at_most=1024)]
+"""Or processes."""
+Width = Annotated[int, Exact(), Bounds(at_least=1, at_most=2**16)]
+"""Neurons of a layer."""
 Seed = Annotated[int, Exact(), Bounds(at_least=0, at_most=2**32 - 1)]
 """What NumPy and torch both take."""
+SeedList = Annotated[Any, Seeds()]
 Positive = Annotated[float, Bounds(above=0)]
 NotNegative = Annotated[float, Bounds(at_least=0)]
 Share = Annotated[float, Bounds(at_least=0, at_most=1)]
+
+
+def list_of_seeds(key: str, seeds: Any) -> list[int]:
+    """Workload seeds from a number of them (3: 0, 1 and 2) or a list.
+
+    Raises:
+        ScenarioError: neither a number from 1 to ``MOST_SEEDS`` nor a list of different integers of at least 0.
+    """
+    if _is_whole(seeds) and 0 < seeds <= MOST_SEEDS:
+        return list(range(seeds))
+    whole = isinstance(seeds, list | tuple) and all(_is_whole(seed) and seed >= 0 for seed in seeds)
+    if not whole or not 0 < len(seeds) <= MOST_SEEDS or len(set(seeds)) < len(seeds):
+        refuse(key, seeds, describe(SeedList))
+    return list(seeds)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def parse_dataclass(kind: type, values: Any, where: str) -> Any:
@@ -165,6 +214,8 @@ def describe(hint: Any) -> str:
         if get_origin(hint) is tuple and items[-1] is not Ellipsis:
             return "two numbers [low, high]"
         return "a list" if items[0] is Any else f"a list whose entries are each {describe(items[0])}"
+    if get_origin(hint) is os.PathLike:
+        return "a path"
     return PLAIN.get(hint, f"a {getattr(hint, '__name__', hint)}")
 
 

@@ -1,0 +1,594 @@
+"""The settings of every recipe: one dataclass each, checked before anything is made or moved.
+
+A group such as ``loss`` or ``method`` names its class by ``_target_``; its arguments are checked against the signature
+of that class. Everything else is a key with a type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.config import parse_config
+from nfv_torchrl.settings.targets import Target
+from nfv_torchrl.settings.values import (
+    Bounds,
+    Count,
+    Exact,
+    Natural,
+    NotEmpty,
+    NotNegative,
+    OneOf,
+    Positive,
+    Rule,
+    Seed,
+    SeedList,
+    Threads,
+    parse_dataclass,
+)
+
+Settings = TypeVar("Settings")
+
+
+class Scenario(Rule):
+    """The keys of a scenario."""
+
+    def check(self, value: Any, where: str, expected: str) -> None:
+        """See ``Rule``."""
+        parse_config(value)
+
+
+Mapped = dict[str, Any]
+World = Annotated[Mapped, Scenario()]
+Network = Annotated[Mapped, Target("sizes", "outputs", partial=True)]
+PlainNetwork = Annotated[Mapped, Target("sizes", "outputs", partial=None)]
+Loss = Annotated[Mapped, Target("network", "sizes")]
+Reward = Annotated[Mapped, Target("outcome", "scale", partial=True)]
+Exploration = Annotated[Mapped, Target("frames", partial=True)]
+Updater = Annotated[Mapped, Target("loss_module", partial=True)]
+Networks = Annotated[Mapped, Target("scenario", partial=True)]
+Methods = dict[str, Annotated[Mapped, Target("scenario", partial=None)]]
+Overrides = tuple[str, ...]
+Nodes = Annotated[int, Exact(), Bounds(at_least=2)]
+Some = NotEmpty()
+Colocations = Annotated[tuple[bool, ...], Some]
+
+
+@dataclass(frozen=True)
+class Collector:
+    """Environments that act at the same time, and for how long."""
+
+    num_envs: Count
+    steps: Count
+    total_frames: Count
+
+
+@dataclass(frozen=True)
+class Logger:
+    """``interval``: iterations or updates from one log line to the next."""
+
+    interval: Count
+    figures: bool
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Evaluations during a training; ``interval`` 0: never."""
+
+    interval: Natural
+    seeds: SeedList
+
+
+@dataclass(frozen=True)
+class Saving:
+    """Checkpoints; ``keep``: how many of the newest stay."""
+
+    interval: Count
+    keep: Count
+
+
+@dataclass(frozen=True)
+class Run:
+    """What every training has."""
+
+    scenario: World
+    run_dir: str
+    resume: bool
+    seed: Seed
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """The replay memory, in transitions or sequences."""
+
+    size: Count
+    batch_size: Count
+    warmup_frames: Natural
+
+
+@dataclass(frozen=True)
+class Learner:
+    """The learner of ``dqn``."""
+
+    updates: Count
+    lr: Positive
+    max_grad_norm: Positive | None
+    compile: bool
+
+
+@dataclass(frozen=True)
+class DqnSettings(Run):
+    """See ``config/dqn.yaml``."""
+
+    network: Network
+    loss: Loss
+    reward: Reward
+    exploration: Exploration
+    networks: Networks | None
+    target: Updater
+    init_from: str | None
+    device: str
+    threads: Threads
+    env_threads: Threads
+    one_hot: bool
+    stagger: bool
+    segment: Count | None
+    collector: Collector
+    buffer: Buffer
+    learner: Learner
+    logger: Logger
+    eval: HeldOut
+    checkpoint: Saving
+
+    def __post_init__(self) -> None:
+        check_segment(self.segment, self.stagger)
+        if self.buffer.batch_size > self.buffer.size:
+            raise ScenarioError(
+                f"buffer.batch_size: {self.buffer.batch_size} is more than the memory holds; use buffer.size="
+                f"{self.buffer.size} at most, or a larger memory"
+            )
+        burn_in = self.loss.get("burn_in", 0)
+        if burn_in >= self.collector.steps:
+            raise ScenarioError(
+                f"loss.burn_in: {burn_in} steps of sequences that have {self.collector.steps}; use less, or more "
+                "collector.steps"
+            )
+
+
+@dataclass(frozen=True)
+class BatchLearner:
+    """The learner of ``policy_gradient`` and ``nfvdeep``."""
+
+    epochs: Count
+    minibatch: Count
+    lr: Positive
+    max_grad_norm: Positive | None
+
+
+@dataclass(frozen=True)
+class PolicyGradientSettings(Run):
+    """See ``config/policy_gradient.yaml``."""
+
+    network: Network
+    loss: Loss
+    reward: Reward
+    device: str
+    threads: Threads
+    env_threads: Threads
+    one_hot: bool
+    stagger: bool
+    segment: Count | None
+    collector: Collector
+    learner: BatchLearner
+    logger: Logger
+    eval: HeldOut
+    checkpoint: Saving
+
+    def __post_init__(self) -> None:
+        check_segment(self.segment, self.stagger)
+
+
+@dataclass(frozen=True)
+class Income:
+    """The reward of NFVdeep, see ``nfv_torchrl.nfvdeep.reward``."""
+
+    markup: NotNegative
+    relative: bool
+
+
+@dataclass(frozen=True)
+class NFVdeepSettings(Run):
+    """See ``config/nfvdeep.yaml``."""
+
+    network: Network
+    loss: Loss
+    planner: Annotated[Mapped, Target("actor")]
+    reward: Income
+    device: str
+    threads: Threads
+    stagger: bool
+    segment: Count | None
+    collector: Collector
+    learner: BatchLearner
+    logger: Logger
+    eval: HeldOut
+    checkpoint: Saving
+
+    def __post_init__(self) -> None:
+        check_segment(self.segment, self.stagger)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What ``offline`` records before it learns."""
+
+    num_envs: Count
+    steps: Count
+    frames: Count
+    seed: Seed
+
+
+@dataclass(frozen=True)
+class OfflineLearner:
+    """The learner of ``offline``."""
+
+    updates: Count
+    batch_size: Count
+    lr: Positive
+    max_grad_norm: Positive | None
+    compile: bool
+
+
+@dataclass(frozen=True)
+class OfflineSettings(Run):
+    """See ``config/offline.yaml``."""
+
+    method: Methods
+    network: Network
+    loss: Loss
+    reward: Reward
+    target: Updater
+    device: str
+    threads: Threads
+    one_hot: bool
+    stagger: bool
+    checkpoint: str | None
+    dataset: str | None
+    record: Recording
+    learner: OfflineLearner
+    logger: Logger
+    eval: HeldOut
+    saving: Saving
+
+
+@dataclass(frozen=True)
+class Search:
+    """CMA-ES; ``population`` null: its default."""
+
+    sigma: Positive
+    population: Annotated[int, Exact(), Bounds(at_least=2, at_most=10**6)] | None
+    diagonal: bool
+
+
+@dataclass(frozen=True)
+class Fitness:
+    """Weights of the fitness, see ``nfv_torchrl.evolution.fitness.Arena``."""
+
+    cost_weight: NotNegative
+    saving_weight: NotNegative
+    spread: Positive
+
+
+@dataclass(frozen=True)
+class Generation:
+    """``tasks``: horizons that every candidate plays."""
+
+    tasks: Count
+
+
+@dataclass(frozen=True)
+class HeldOutTasks:
+    """Evaluations of an evolution; ``interval`` 0: never."""
+
+    interval: Natural
+    seed: Seed
+    tasks: Count
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """``figures``: draw the network at each evaluation."""
+
+    figures: bool
+
+
+@dataclass(frozen=True)
+class EvolutionSettings(Run):
+    """See ``config/evolution.yaml``."""
+
+    network: Network
+    tasks: Annotated[Mapped, Target("scenario")]
+    policy: Loss
+    strategy: Search
+    threads: Threads
+    generations: Count
+    start: str | None
+    generation: Generation
+    fitness: Fitness
+    eval: HeldOutTasks
+    logger: Pictures
+    checkpoint: Saving
+
+
+@dataclass(frozen=True)
+class EvaluateSettings:
+    """See ``config/evaluate.yaml``."""
+
+    scenario: World
+    method: Methods
+    checkpoint: str | None
+    seeds: SeedList
+    scenario_seeds: SeedList | None
+    output: str | None
+    reference: str | None
+    bounds: bool
+    audit: bool
+    threads: Threads
+
+
+@dataclass(frozen=True)
+class TransferSettings:
+    """See ``config/transfer.yaml``."""
+
+    checkpoint: str | None
+    method: Methods
+    networks: dict[str, Overrides]
+    only: Overrides | None
+    rho: tuple[Positive, ...] | None
+    draws: bool
+    overrides: Overrides
+    seeds: Count
+    bounds: bool
+    jobs: Threads
+    output: str
+
+
+@dataclass(frozen=True)
+class Load:
+    """lambda and mu."""
+
+    arrival_rate: Positive
+    mean_lifetime: Positive
+
+
+@dataclass(frozen=True)
+class TrainedPoints:
+    """Where agents are trained; null: everywhere."""
+
+    nodes: tuple[Nodes, ...] | None
+    arrival_rate: tuple[Positive, ...] | None
+    mean_lifetime: tuple[Positive, ...] | None
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Workloads and slots that decision times are measured on."""
+
+    seeds: Count
+    horizon: Count
+
+
+@dataclass(frozen=True)
+class Budget:
+    """See ``config/budget``."""
+
+    name: str
+    seeds: Count
+    training_seeds: Count
+    nodes: Annotated[tuple[Nodes, ...], Some]
+    nodes_at: Load
+    arrival_rates: Annotated[tuple[Positive, ...], Some]
+    mean_lifetimes: Annotated[tuple[Positive, ...], Some]
+    cost_weights: Annotated[tuple[NotNegative, ...], Some]
+    trained_colocation: tuple[bool, ...]
+    trained_points: TrainedPoints
+    timing: Timing
+    frames: dict[str, Count]
+    explore_frames: Count
+    target_interval: Count
+    eval_interval: dict[str, Natural]
+
+
+@dataclass(frozen=True)
+class TrainedMethod:
+    """A method of the figures that is trained first."""
+
+    recipe: str
+    policy: str
+    overrides: Overrides
+    method: Annotated[Mapped, Target("path", "name", "scenario", partial=True)]
+
+
+@dataclass(frozen=True)
+class RewardCurve:
+    """A reward that the figures compare."""
+
+    label: str
+    overrides: Overrides
+    w_cost: NotNegative
+
+
+@dataclass(frozen=True)
+class FiguresSettings:
+    """See ``config/figures.yaml``."""
+
+    scenario: World
+    method: Methods
+    budget: Budget
+    figure: str | Overrides
+    output: str
+    jobs: Threads
+    colocation: Colocations
+    trained: dict[str, TrainedMethod]
+    rewards: dict[str, RewardCurve]
+
+
+@dataclass(frozen=True)
+class ComparedLoss:
+    """One entry of ``losses``."""
+
+    overrides: Overrides
+    recipe: str = "dqn"
+
+
+@dataclass(frozen=True)
+class CompareLossesSettings:
+    """See ``config/compare_losses.yaml``."""
+
+    scenario: World
+    frames: Count
+    explored: Count
+    seeds: Count
+    workloads: Count
+    eval_seeds: SeedList
+    reference: str
+    only: Overrides | None
+    jobs: Threads
+    output: str
+    overrides: Overrides
+    settings: dict[str, Overrides]
+    losses: dict[str, ComparedLoss]
+    figures: dict[str, Overrides]
+
+
+@dataclass(frozen=True)
+class TrainingSpeed:
+    """How training is measured."""
+
+    frames: Count
+    overrides: Overrides
+
+
+@dataclass(frozen=True)
+class MethodSpeed:
+    """How decisions are measured."""
+
+    batch_size: Count
+    seconds: Positive
+
+
+@dataclass(frozen=True)
+class MemoryUse:
+    """A batch that has to fit."""
+
+    nodes: Nodes
+    batch_size: Count
+    arrival_rate: Positive
+    mean_lifetime: Positive
+    horizon: Count
+
+
+@dataclass(frozen=True)
+class BenchmarkSettings:
+    """See ``config/benchmark.yaml``."""
+
+    scenario: World
+    method: Methods
+    parts: tuple[Annotated[str, OneOf("kernel", "env", "collector", "training", "methods", "memory")], ...]
+    nodes: Annotated[tuple[Nodes, ...], Some]
+    batch_sizes: Annotated[tuple[Count, ...], Some]
+    arrivals_per_node: Positive | None
+    loaded_slot: Natural
+    repeats: Count
+    frames: Count
+    memory_limit: Positive
+    output: str | None
+    training: TrainingSpeed
+    methods: MethodSpeed
+    memory: tuple[MemoryUse, ...]
+
+
+@dataclass(frozen=True)
+class TunePricedSettings:
+    """See ``config/tune_priced.yaml``."""
+
+    scenario: World
+    loads: Annotated[tuple[Load, ...], Some]
+    colocation: Colocations
+    scenario_seeds: Annotated[tuple[Seed, ...], Some]
+    seeds: Count
+    prices: Annotated[tuple[NotNegative, ...], Some]
+    steepness: Annotated[tuple[Annotated[float, Bounds(above=1)], ...], Some]
+    thresholds: Annotated[tuple[NotNegative | None, ...], Some]
+    output: str | None
+    jobs: Threads
+
+
+@dataclass(frozen=True)
+class MilpGapSettings:
+    """The options of ``milp_gap.py``."""
+
+    seeds: Count
+    requests: Count
+
+
+@dataclass(frozen=True)
+class AuditSettings:
+    """The arguments of ``audit.py``."""
+
+    folders: Overrides
+
+
+RECIPES: dict[str, type] = {
+    "audit": AuditSettings,
+    "benchmark": BenchmarkSettings,
+    "compare_losses": CompareLossesSettings,
+    "dqn": DqnSettings,
+    "evaluate": EvaluateSettings,
+    "evolution": EvolutionSettings,
+    "figures": FiguresSettings,
+    "milp_gap": MilpGapSettings,
+    "nfvdeep": NFVdeepSettings,
+    "offline": OfflineSettings,
+    "policy_gradient": PolicyGradientSettings,
+    "transfer": TransferSettings,
+    "tune_priced": TunePricedSettings,
+}
+
+
+def read_settings(config: DictConfig | Mapping[str, Any], kind: type[Settings]) -> Settings:
+    """The settings of a recipe, checked key by key.
+
+    Raises:
+        ScenarioError: an unknown or missing key, a value of the wrong kind or out of range, or values that do not go
+            together.
+    """
+    if isinstance(config, DictConfig):
+        config = _plain(config)
+    return parse_dataclass(kind, config, "")
+
+
+def check_segment(segment: int | None, stagger: bool) -> None:
+    """``segment`` is about staggered environments.
+
+    Raises:
+        ScenarioError: there is a segment without them.
+    """
+    if segment is not None and not stagger:
+        raise ScenarioError(f"segment: {segment} slots need staggered environments; set stagger=true, or segment=null")
+
+
+def _plain(config: DictConfig) -> Mapping[str, Any]:
+    """Without interpolations."""
+    try:
+        return OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # type: ignore[return-value]
+    except MissingMandatoryValue as error:
+        raise ScenarioError(f"{error.full_key}: is missing; set it") from error
+    except OmegaConfBaseException as error:
+        why = str(error).splitlines()[0]
+        raise ScenarioError(f"{error.full_key or 'the settings'}: {why}; check what is between the braces") from error

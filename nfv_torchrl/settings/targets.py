@@ -1,0 +1,120 @@
+"""Settings that name a class or function of one's own choice by ``_target_``, checked against its signature.
+
+A signature is checked as far as it is annotated: with plain types, or with those of ``values``, such as
+``gamma: Share``. What a recipe passes itself (``given``) is no setting.
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import inspect
+import os
+import types
+import typing
+from collections.abc import Mapping
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from hydra.errors import HydraException
+from hydra.utils import get_object
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.settings.values import PLAIN, Count, Rule, Share, join, parse, refuse, refuse_key, shown
+
+OF_HYDRA = ("_target_", "_partial_", "_recursive_", "_convert_", "_args_")
+"""Keys that ``hydra.utils.instantiate`` reads itself."""
+FOREIGN: dict[str, dict[str, Any]] = {
+    "torchrl.objectives.utils.HardUpdate": {"value_network_update_interval": Count},
+    "torchrl.objectives.utils.SoftUpdate": {"eps": Share, "tau": Share},
+}
+"""What arguments of TorchRL's may be, where its annotations do not say."""
+
+
+class Target(Rule):
+    """A mapping with ``_target_`` and arguments.
+
+    Args:
+        given: arguments that the recipe passes.
+        partial: whether ``_partial_: true`` belongs there, None: it may.
+    """
+
+    def __init__(self, *given: str, partial: bool | None = False) -> None:
+        self.given, self.partial = given, partial
+
+    def describe(self, kind: str) -> str:
+        """See ``Rule``."""
+        return "a mapping with _target_ and arguments"
+
+    def check(self, value: Any, where: str, expected: str) -> None:
+        """See ``Rule``."""
+        if self.partial is not None and value.get("_partial_", False) is not self.partial:
+            refuse(f"{where}._partial_", value.get("_partial_", False), str(self.partial).lower())
+        check_target(value, where, self.given)
+
+
+def check_target(spec: Mapping[str, Any], where: str, given: tuple[str, ...] = ()) -> None:
+    """Check the target and the arguments of ``spec`` without calling it.
+
+    Raises:
+        ScenarioError: the target cannot be imported or called, or an argument is unknown, missing or of the wrong kind.
+    """
+    target = _locate(spec.get("_target_"), where)
+    arguments = {key: value for key, value in spec.items() if key not in OF_HYDRA}
+    called = target.__init__ if inspect.isclass(target) else target
+    try:
+        parameters = inspect.signature(called).parameters
+    except (TypeError, ValueError):  # written in C
+        return
+    names = [
+        name
+        for place, (name, parameter) in enumerate(parameters.items())
+        if not (place == 0 and inspect.isclass(target))
+        and name not in given
+        and parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+    ]
+    if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):
+        for key in arguments:
+            if key not in names:
+                refuse_key(join(where, key), names)
+    if not spec.get("_partial_") and not spec.get("_args_"):
+        for name in names:
+            if parameters[name].default is inspect.Parameter.empty and name not in arguments:
+                raise ScenarioError(f"{join(where, name)}: is missing; add it")
+    _check_kinds(target, called, arguments, where)
+
+
+def _locate(path: Any, where: str) -> Any:
+    if not isinstance(path, str):
+        raise ScenarioError(f"{where}._target_: {shown(path)}; give a class or function with its package")
+    try:
+        target = get_object(path)
+    except (HydraException, ImportError, ValueError) as error:
+        why = " ".join(str(error.__cause__ or error).split())
+        raise ScenarioError(f"{where}._target_: {path!r} cannot be imported ({why}); check its name") from error
+    if not callable(target):
+        raise ScenarioError(f"{where}._target_: {path!r} is no class or function; name one")
+    return target
+
+
+def _check_kinds(target: Any, called: Any, arguments: Mapping[str, Any], where: str) -> None:
+    """The values of the arguments whose annotations can be judged."""
+    try:
+        hints = typing.get_type_hints(called, include_extras=True)
+    except Exception:  # annotations that cannot be evaluated, such as names imported for type checking only
+        hints = {}
+    hints |= FOREIGN.get(f"{target.__module__}.{getattr(target, '__qualname__', '')}", {})
+    for key, value in arguments.items():
+        if isinstance(value, Mapping) and "_target_" in value:
+            check_target(value, join(where, key))
+        elif key in hints and _can_be_written(hints[key]):
+            parse(value, hints[key], join(where, key))
+        elif inspect.isclass(hints.get(key)):
+            refuse(join(where, key), value, f"a mapping with the _target_ of a {hints[key].__name__}")
+
+
+def _can_be_written(hint: Any) -> bool:
+    """Whether all values of the type can stand in a yaml file."""
+    if get_origin(hint) is Annotated:
+        return _can_be_written(get_args(hint)[0])
+    if get_origin(hint) in (Union, types.UnionType, tuple, list, dict, collections.abc.Sequence):
+        return all(_can_be_written(part) for part in get_args(hint))
+    return hint in (*PLAIN, dict, Any, type(None), Ellipsis) or get_origin(hint) is os.PathLike
