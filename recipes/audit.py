@@ -14,8 +14,10 @@ import sys
 from tqdm import tqdm
 
 from nfv_torchrl.evaluation.audit import audit_folders
+from nfv_torchrl.training.cli import clear_errors
 
 
+@clear_errors
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Recompute every number of an evaluation from its files.")
     parser.add_argument("folders", nargs="+", metavar="DIR", help="a run, or a folder with runs below it")

@@ -22,7 +22,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
-import hydra
 import numba
 import numpy as np
 import tensordict
@@ -42,14 +41,13 @@ from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.settings.recipes import BenchmarkSettings, read_settings
 from nfv_torchrl.simulator import Simulator, kernels
 from nfv_torchrl.simulator.state import REQUEST_DONE, grow_pools
-from nfv_torchrl.training.cli import check_keys, clear_errors
+from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.random_policy import RandomPolicy
 from nfv_torchrl.training.setup import set_threads
 
-KEYS = ("scenario", "method", "parts", "nodes", "batch_sizes", "arrivals_per_node", "loaded_slot", "repeats", "frames",
-        "memory_limit", "output", "training", "methods", "memory")  # fmt: skip
 DIFFERENT = 4
 """Networks of a batch that are loaded each for itself; the others begin as copies and go their own ways."""
 ROLLOUT, COLLECTED = 64, 16
@@ -59,14 +57,10 @@ MOST_STEPS = 512
 Row = dict[str, Any]
 
 
-@hydra.main(config_path="config", config_name="benchmark", version_base=None)
-@clear_errors
+@recipe("benchmark")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, BenchmarkSettings)
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
-    check_keys(config, KEYS)
-    unknown = [part for part in config["parts"] if part not in PARTS]
-    if unknown:
-        raise ScenarioError(f"parts: {unknown[0]!r} is none of {list(PARTS)}")
     set_threads(1)
     machine = describe_machine()
     print("\n".join(f"{key}: {value}" for key, value in machine.items()))

@@ -19,7 +19,6 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
@@ -30,19 +29,19 @@ from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.pool import compute
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.training.cli import check_keys, clear_errors
+from nfv_torchrl.settings.recipes import CompareLossesSettings, read_settings
+from nfv_torchrl.settings.values import list_of_seeds
+from nfv_torchrl.training.cli import recipe
 
-KEYS = ("scenario", "frames", "explored", "seeds", "workloads", "losses", "settings", "overrides", "only", "figures",
-        "reference", "eval_seeds", "jobs", "output")  # fmt: skip
 FLOOR = "random_feasible"
 """What every loss has to beat."""
 
 
-@hydra.main(config_path="config", config_name="compare_losses", version_base=None)
-@clear_errors
+@recipe("compare_losses")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, CompareLossesSettings)
     config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
-    check_keys(config, KEYS)
+    config["eval_seeds"] = list_of_seeds("eval_seeds", config["eval_seeds"])
     losses = chosen_losses(config)
     scenario = Scenario.from_config(config["scenario"])
     store = CellStore(config["output"], Path(__file__).parent)

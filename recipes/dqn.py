@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import time
 
-import hydra
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -28,8 +27,9 @@ from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.settings.recipes import DqnSettings, read_settings
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.policies import load_weights, q_network
@@ -38,9 +38,9 @@ from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, s
 from nfv_torchrl.training.window import TrainingWindow
 
 
-@hydra.main(config_path="config", config_name="dqn", version_base=None)
-@clear_errors
+@recipe("dqn")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, DqnSettings)
     device = choose_device(cfg.device)
     set_threads(cfg.threads)
     seed_everything(cfg.seed)

@@ -19,7 +19,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
@@ -32,31 +31,18 @@ from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import render, write_summary
 from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.training.cli import check_keys, clear_errors
+from nfv_torchrl.settings.recipes import EvaluateSettings, read_settings
+from nfv_torchrl.settings.values import list_of_seeds
+from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.setup import set_threads
 
-KEYS = (
-    "scenario",
-    "method",
-    "checkpoint",
-    "seeds",
-    "scenario_seeds",
-    "output",
-    "reference",
-    "bounds",
-    "audit",
-    "threads",
-)
 
-
-@hydra.main(config_path="config", config_name="evaluate", version_base=None)
-@clear_errors
+@recipe("evaluate")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, EvaluateSettings)
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
-    check_keys(config, KEYS)
     set_threads(cfg.threads)
     scenarios, seeds = read_runs(config)
-    check_checkpoint(config)
     methods = methods_from_config(config["method"], scenarios)
     reference = choose_reference(config["reference"], methods)
     comparison = Comparison(scenarios[0])
@@ -102,26 +88,6 @@ def read_runs(config: dict[str, Any]) -> tuple[list[Scenario], list[int]]:
     if config["scenario"]["workload"]["path"] is not None:
         raise ScenarioError("scenario_seeds: networks change but workload.path is one file; leave one of them null")
     return [Scenario.from_config({**config["scenario"], "seed": seed}) for seed in networks], seeds
-
-
-def list_of_seeds(key: str, seeds: Any) -> list[int]:
-    """Seeds from a number of them or a list."""
-    if isinstance(seeds, int) and not isinstance(seeds, bool) and seeds > 0:
-        seeds = list(range(seeds))
-    whole = isinstance(seeds, list) and all(isinstance(s, int) and not isinstance(s, bool) and s >= 0 for s in seeds)
-    if not whole or not seeds or len(set(seeds)) < len(seeds):
-        raise ScenarioError(f"{key}: {seeds!r}; use a number of at least 1, or a list of different integers >= 0")
-    return seeds
-
-
-def check_checkpoint(config: dict[str, Any]) -> None:
-    """``checkpoint=PATH`` and ``method=checkpoint`` go together."""
-    if config["checkpoint"] is None and "checkpoint" in config["method"]:
-        raise ScenarioError("checkpoint: is null; method=checkpoint needs a file, such as checkpoint=runs/dqn/best.pt")
-    if config["checkpoint"] is not None and "checkpoint" not in config["method"]:
-        raise ScenarioError(
-            f"checkpoint: {config['checkpoint']} would not be read; add it to the methods: method=[greedy,checkpoint]"
-        )
 
 
 def choose_reference(name: str | None, methods: Sequence[Method]) -> str:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import time
 from statistics import fmean
 
-import hydra
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import GlobalRNGState
@@ -29,17 +28,18 @@ from nfv_torchrl.evolution.fitness import Arena, summary
 from nfv_torchrl.evolution.policies import Evolvable
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.settings.recipes import EvolutionSettings, read_settings
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import load_weights, policy_content, save_policy
 from nfv_torchrl.training.run import Progress, RunFolder
 from nfv_torchrl.training.setup import StopRequest, run_folder, seed_everything, set_threads
 
 
-@hydra.main(config_path="config", config_name="evolution", version_base=None)
-@clear_errors
+@recipe("evolution")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, EvolutionSettings)
     set_threads(1)  # the threads are the arena's
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)

@@ -17,29 +17,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
-from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.experiments.catalogue import chosen
 from nfv_torchrl.experiments.cells import Cell, CellStore, with_needs
 from nfv_torchrl.experiments.drawing import Experiment
 from nfv_torchrl.experiments.pool import compute
 from nfv_torchrl.experiments.study import Study
-from nfv_torchrl.training.cli import check_keys, clear_errors
+from nfv_torchrl.settings.recipes import FiguresSettings, read_settings
+from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
 
-KEYS = ("scenario", "method", "budget", "figure", "output", "jobs", "colocation", "trained", "rewards")
 
-
-@hydra.main(config_path="config", config_name="figures", version_base=None)
-@clear_errors
+@recipe("figures")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, FiguresSettings)
     config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
-    check_keys(config, KEYS)
-    if cfg.jobs < 1:
-        raise ScenarioError(f"jobs: {cfg.jobs}; at least one process is needed")
     recipes = Path(__file__).parent
     study, store = Study(config, recipes), CellStore(cfg.output, recipes)
     figures = chosen(config["figure"])

@@ -19,7 +19,9 @@ from tqdm import tqdm
 from nfv_torchrl.evaluation.statistics import Interval, mean_interval
 from nfv_torchrl.planners.milp import Request, embed_request
 from nfv_torchrl.scenario import paper_scenario
+from nfv_torchrl.settings.recipes import MilpGapSettings, read_settings
 from nfv_torchrl.simulator.tables import Rules, build_tables
+from nfv_torchrl.training.cli import clear_errors
 
 FULL_SHARES = ((0.0, 0.0), (0.4, 0.4), (0.9, 0.0), (0.9, 0.3))
 """Of VMs and of links; 0.9 of the VMs: a network with few places left to process anything."""
@@ -57,11 +59,13 @@ def shown(interval: Interval) -> str:
     return f"{100 * interval.mean:5.1f} ± {100 * interval.half_width:4.1f}"
 
 
+@clear_errors
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="The cheapest walk against the paper's optimisation problem.")
     parser.add_argument("--seeds", type=int, default=10, help="networks, seeds 0 .. SEEDS - 1")
     parser.add_argument("--requests", type=int, default=30, help="requests per network")
     options = parser.parse_args(arguments)
+    read_settings(vars(options), MilpGapSettings)
     rows = [(full, colocation) for full in FULL_SHARES for colocation in (False, True)]
     results = [
         np.array([compare(seed, *row, options.requests) for seed in range(options.seeds)])

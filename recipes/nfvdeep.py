@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import time
 
-import hydra
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -25,17 +24,18 @@ from tqdm import tqdm
 from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.nfvdeep import NFVdeepEnv
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.settings.recipes import NFVdeepSettings, read_settings
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 
-@hydra.main(config_path="config", config_name="nfvdeep", version_base=None)
-@clear_errors
+@recipe("nfvdeep")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, NFVdeepSettings)
     device = choose_device(cfg.device)
     set_threads(cfg.threads)
     seed_everything(cfg.seed)

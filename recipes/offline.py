@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import time
 
-import hydra
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -30,8 +29,9 @@ from nfv_torchrl.evaluation.runner import scenario_for
 from nfv_torchrl.losses import has_target
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.settings.recipes import OfflineSettings, read_settings
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.cli import clear_errors
+from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.recording import Dataset
@@ -43,9 +43,9 @@ ORIGIN = ("scenario", "method", "checkpoint", "reward", "one_hot", "stagger", "r
 """Config keys that determine a recording."""
 
 
-@hydra.main(config_path="config", config_name="offline", version_base=None)
-@clear_errors
+@recipe("offline")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, OfflineSettings)
     device = choose_device(cfg.device)
     set_threads(cfg.threads)
     seed_everything(cfg.seed)

@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import hydra
 from hydra import compose
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
@@ -32,17 +31,16 @@ from nfv_torchrl.experiments.pool import compute
 from nfv_torchrl.experiments.rows import paired_cost, values
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.training.cli import check_keys, clear_errors, recipe_configs
+from nfv_torchrl.settings.recipes import TransferSettings, read_settings
+from nfv_torchrl.training.cli import recipe, recipe_configs
 
-KEYS = ("checkpoint", "method", "networks", "only", "rho", "draws", "overrides", "seeds", "bounds", "jobs", "output")
 POLICY = "checkpoint"
 
 
-@hydra.main(config_path="config", config_name="transfer", version_base=None)
-@clear_errors
+@recipe("transfer")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, TransferSettings)
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
-    check_keys(config, KEYS)
     if config["checkpoint"] is None or not Path(config["checkpoint"]).is_file():
         raise ScenarioError(f"checkpoint: {config['checkpoint']} is no file; name one, such as runs/candidate/best.pt")
     store = CellStore(config["output"], Path(__file__).parent)

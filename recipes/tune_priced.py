@@ -16,12 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import hydra
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
-from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import csv_text
 from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.metrics import compute_metrics
@@ -30,30 +28,18 @@ from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.training.cli import check_keys, clear_errors
+from nfv_torchrl.settings.recipes import TunePricedSettings, read_settings
+from nfv_torchrl.training.cli import recipe
 
-KEYS = (
-    "scenario",
-    "loads",
-    "colocation",
-    "scenario_seeds",
-    "seeds",
-    "prices",
-    "steepness",
-    "thresholds",
-    "output",
-    "jobs",
-)
 FIRST_SEED = 2000
 Setting = tuple[float, float, float | None]
 """Price p, steepness M, refusal threshold (None: never)."""
 
 
-@hydra.main(config_path="config", config_name="tune_priced", version_base=None)
-@clear_errors
+@recipe("tune_priced")
 def main(cfg: DictConfig) -> None:
+    read_settings(cfg, TunePricedSettings)
     config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
-    check_keys(config, KEYS)
     worlds = scenarios(config)
     settings: list[Setting] = list(itertools.product(config["prices"], config["steepness"], config["thresholds"]))
     work = [(setting, worlds, config["seeds"]) for setting in [None, *settings]]
@@ -69,8 +55,6 @@ def main(cfg: DictConfig) -> None:
 
 def scenarios(config: dict[str, Any]) -> list[list[Scenario]]:
     """For each load with each colocation rule, the scenario on every network."""
-    if not config["scenario_seeds"] or config["seeds"] < 1:
-        raise ScenarioError("scenario_seeds, seeds: at least one network and one workload are needed")
     return [
         [
             Scenario.from_config({**config["scenario"], **load, "colocation": colocation, "seed": seed})

@@ -11,6 +11,7 @@ from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, setting
 from nfv_torchrl.experiments.study import AGENT, Study, World
 from nfv_torchrl.experiments.sweeps import METRICS
+from nfv_torchrl.settings.values import list_of_seeds
 
 GROUPS = {"eval": "acting greedily on held-out workloads", "train": "while it explores, on training workloads"}
 
@@ -31,7 +32,8 @@ class LearningCurves:
 
     def _bound(self, study: Study, world: World) -> Cell:
         """Of the held-out workloads on which training evaluates."""
-        return study.bound(world, study.training(AGENT, world).spec["config"]["eval"]["seeds"])
+        seeds = study.training(AGENT, world).spec["config"]["eval"]["seeds"]
+        return study.bound(world, list_of_seeds("eval.seeds", seeds))
 
     def draw(self, study: Study, store: CellStore) -> Drawn:
         rows: Rows = []

@@ -8,6 +8,7 @@ from torchrl.objectives import A2CLoss
 
 from nfv_torchrl.losses.policy_gradient import PolicyGradient
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import NotNegative, Share, StopKey
 
 
 class A2C(PolicyGradient):
@@ -30,11 +31,11 @@ class A2C(PolicyGradient):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 1.0,
-        lmbda: float = 0.95,
-        stop_at: str = "request_done",
-        entropy_coeff: float = 0.01,
-        critic_coeff: float = 0.5,
+        gamma: Share = 1.0,
+        lmbda: Share = 0.95,
+        stop_at: StopKey = "request_done",
+        entropy_coeff: NotNegative = 0.01,
+        critic_coeff: NotNegative = 0.5,
     ) -> None:
         objective = partial(
             A2CLoss,

@@ -9,6 +9,7 @@ from torch import Tensor
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.across_requests import AcrossRequests
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import AtLeastOne, Count, Distance, Share
 from nfv_torchrl.simulator.state import SERVICE
 
 
@@ -44,12 +45,12 @@ class CentredDQN(AcrossRequests):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 0.999,
-        rate_over: float = 20_000,
-        n: int = 1,
+        gamma: Share = 0.999,
+        rate_over: AtLeastOne = 20_000,
+        n: Count = 1,
         double: bool = True,
         by_service: bool = False,
-        loss_function: str = "l2",
+        loss_function: Distance = "l2",
     ) -> None:
         if not 0 <= gamma <= 1:
             raise ScenarioError(f"loss.gamma is {gamma}; a discount lies from 0 to 1")

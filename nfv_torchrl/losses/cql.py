@@ -8,6 +8,7 @@ from tensordict import TensorDict, TensorDictBase
 from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax, masked_logsumexp
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import NotNegative, Share, StopKey
 
 
 class CQL(MaskedLoss):
@@ -43,10 +44,10 @@ class CQL(MaskedLoss):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        alpha: float = 1.0,
-        gamma: float = 1.0,
+        alpha: NotNegative = 1.0,
+        gamma: Share = 1.0,
         double: bool = False,
-        stop_at: str = "request_done",
+        stop_at: StopKey = "request_done",
     ) -> None:
         q_network = network(sizes)
         super().__init__(q_network, stop_at=stop_at)

@@ -8,6 +8,7 @@ from torch import Tensor
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.across_requests import AcrossRequests
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import Count, Distance, StepSize
 
 
 class DifferentialDQN(AcrossRequests):
@@ -39,10 +40,10 @@ class DifferentialDQN(AcrossRequests):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        rate_step: float = 0.05,
-        n: int = 1,
+        rate_step: StepSize = 0.05,
+        n: Count = 1,
         double: bool = True,
-        loss_function: str = "l2",
+        loss_function: Distance = "l2",
     ) -> None:
         if not 0 < rate_step <= 1:
             raise ScenarioError(f"loss.rate_step is {rate_step}; use a number above 0, at most 1")

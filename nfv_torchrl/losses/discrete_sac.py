@@ -15,6 +15,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.base import MaskedLoss
 from nfv_torchrl.losses.masked import masked_expectation, masked_log_softmax, masked_softmax
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
+from nfv_torchrl.settings.values import Positive, Share, StopKey
 
 
 class DiscreteSAC(MaskedLoss):
@@ -55,11 +56,11 @@ class DiscreteSAC(MaskedLoss):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 0.95,
-        entropy_share: float = 0.1,
-        alpha: float = 0.01,
+        gamma: Share = 0.95,
+        entropy_share: Share = 0.1,
+        alpha: Positive = 0.01,
         learn_alpha: bool = True,
-        stop_at: str = "request_done",
+        stop_at: StopKey = "request_done",
     ) -> None:
         if alpha <= 0:
             raise ScenarioError(f"loss.alpha is {alpha}; the temperature must be above 0")

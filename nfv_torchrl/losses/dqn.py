@@ -7,6 +7,7 @@ from torchrl.objectives import DQNLoss
 
 from nfv_torchrl.losses.base import Acting, greedy_actor
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import Distance, Share, StopKey
 
 
 class DQN(Acting, DQNLoss):
@@ -36,10 +37,10 @@ class DQN(Acting, DQNLoss):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 1.0,
+        gamma: Share = 1.0,
         double: bool = False,
-        loss_function: str = "l2",
-        stop_at: str = "request_done",
+        loss_function: Distance = "l2",
+        stop_at: StopKey = "request_done",
     ) -> None:
         actor = greedy_actor(network(sizes), sizes.actions)
         super().__init__(

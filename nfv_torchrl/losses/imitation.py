@@ -9,6 +9,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax, masked_log_softmax
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import Positive
 
 
 class Imitation(MaskedLoss):
@@ -33,7 +34,7 @@ class Imitation(MaskedLoss):
 
     out_keys = ["loss", "agreement"]  # noqa: RUF012  as TorchRL's losses have it
 
-    def __init__(self, network: NetworkFactory, sizes: Sizes, *, temperature: float = 1.0) -> None:
+    def __init__(self, network: NetworkFactory, sizes: Sizes, *, temperature: Positive = 1.0) -> None:
         if temperature <= 0:
             raise ScenarioError(f"loss.temperature is {temperature}; it must be above 0")
         preferences = network(sizes)

@@ -9,6 +9,7 @@ from torch import Tensor
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.dqn import DQN
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import Count, Distance, Share, StopKey
 
 
 class NStepDQN(DQN):
@@ -41,11 +42,11 @@ class NStepDQN(DQN):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        n: int = 3,
-        gamma: float = 1.0,
+        n: Count = 3,
+        gamma: Share = 1.0,
         double: bool = False,
-        loss_function: str = "l2",
-        stop_at: str = "request_done",
+        loss_function: Distance = "l2",
+        stop_at: StopKey = "request_done",
     ) -> None:
         super().__init__(network, sizes, gamma=gamma, double=double, loss_function=loss_function, stop_at=stop_at)
         if n < 1:
@@ -64,9 +65,7 @@ class NStepDQN(DQN):
         return out.reshape(-1)
 
 
-def n_step_returns(
-    reward: Tensor, stop: Tensor, n: int, gamma: float | Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
+def n_step_returns(reward: Tensor, stop: Tensor, n: int, gamma: float | Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Discounted sums of up to ``n`` rewards from each step on.
 
     Args:

@@ -8,6 +8,7 @@ from torchrl.objectives import ClipPPOLoss
 
 from nfv_torchrl.losses.policy_gradient import PolicyGradient
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import NotNegative, Positive, Share, StopKey
 
 
 class PPO(PolicyGradient):
@@ -34,12 +35,12 @@ class PPO(PolicyGradient):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 1.0,
-        lmbda: float = 0.95,
-        stop_at: str = "request_done",
-        clip_epsilon: float = 0.2,
-        entropy_coeff: float = 0.01,
-        critic_coeff: float = 0.5,
+        gamma: Share = 1.0,
+        lmbda: Share = 0.95,
+        stop_at: StopKey = "request_done",
+        clip_epsilon: Positive = 0.2,
+        entropy_coeff: NotNegative = 0.01,
+        critic_coeff: NotNegative = 0.5,
         normalize_advantage: bool = True,
     ) -> None:
         objective = partial(

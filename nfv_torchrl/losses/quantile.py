@@ -12,6 +12,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
+from nfv_torchrl.settings.values import Positive, Quantiles, Share, StopKey
 
 
 class QuantileDQN(MaskedLoss):
@@ -47,11 +48,11 @@ class QuantileDQN(MaskedLoss):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        quantiles: int = 16,
-        kappa: float = 1.0,
-        gamma: float = 1.0,
+        quantiles: Quantiles = 16,
+        kappa: Positive = 1.0,
+        gamma: Share = 1.0,
         double: bool = False,
-        stop_at: str = "request_done",
+        stop_at: StopKey = "request_done",
     ) -> None:
         if quantiles < 2 or kappa <= 0:
             raise ScenarioError(f"loss: quantiles is {quantiles} and kappa {kappa}; at least 2 and above 0 are needed")

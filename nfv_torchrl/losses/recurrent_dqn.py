@@ -13,6 +13,7 @@ from torchrl.objectives import distance_loss
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.base import MaskedLoss
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
+from nfv_torchrl.settings.values import Distance, Natural, Share, StopKey
 
 
 class RecurrentDQN(MaskedLoss):
@@ -49,17 +50,16 @@ class RecurrentDQN(MaskedLoss):
         ScenarioError: the network has no memory, negative ``burn_in``.
     """
 
-
     def __init__(
         self,
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 1.0,
+        gamma: Share = 1.0,
         double: bool = True,
-        burn_in: int = 0,
-        loss_function: str = "l2",
-        stop_at: str = "request_done",
+        burn_in: Natural = 0,
+        loss_function: Distance = "l2",
+        stop_at: StopKey = "request_done",
     ) -> None:
         if burn_in < 0:
             raise ScenarioError(f"loss.burn_in is {burn_in}; use 0 or more steps")

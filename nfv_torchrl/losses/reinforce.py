@@ -8,6 +8,7 @@ from torchrl.objectives import ReinforceLoss
 
 from nfv_torchrl.losses.policy_gradient import PolicyGradient
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import Share, StopKey
 
 
 class Reinforce(PolicyGradient):
@@ -30,9 +31,9 @@ class Reinforce(PolicyGradient):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 1.0,
-        lmbda: float = 1.0,
-        stop_at: str = "request_done",
+        gamma: Share = 1.0,
+        lmbda: Share = 1.0,
+        stop_at: StopKey = "request_done",
     ) -> None:
         objective = partial(
             ReinforceLoss,

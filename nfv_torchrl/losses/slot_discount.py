@@ -7,6 +7,7 @@ from torch import Tensor
 
 from nfv_torchrl.losses.centred import CentredDQN
 from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.values import AtLeastOne, Count, Distance, Share
 from nfv_torchrl.simulator.state import SLOTS_CLOSED
 
 
@@ -41,12 +42,12 @@ class SlotDiscountDQN(CentredDQN):
         network: NetworkFactory,
         sizes: Sizes,
         *,
-        gamma: float = 0.8,
-        rate_over: float = 20_000,
-        n: int = 200,
+        gamma: Share = 0.8,
+        rate_over: AtLeastOne = 20_000,
+        n: Count = 200,
         double: bool = True,
         by_service: bool = True,
-        loss_function: str = "l2",
+        loss_function: Distance = "l2",
     ) -> None:
         super().__init__(
             network,

@@ -10,6 +10,7 @@ from torch import Tensor
 from nfv_torchrl.networks.base import QNetwork, Sizes
 from nfv_torchrl.networks.layers import perceptron
 from nfv_torchrl.observations import CandidateObservation, ObservationPart
+from nfv_torchrl.settings.values import Activation, Width
 
 
 class CandidateNetwork(QNetwork):
@@ -36,8 +37,8 @@ class CandidateNetwork(QNetwork):
         sizes: Sizes,
         outputs: int = 1,
         *,
-        hidden: Sequence[int] = (64, 64),
-        activation: str = "ReLU",
+        hidden: Sequence[Width] = (64, 64),
+        activation: Activation = "ReLU",
         noisy: bool = False,
     ) -> None:
         super().__init__()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from torch import Tensor, nn
 
 from nfv_torchrl.networks.base import QNetwork, Sizes
 from nfv_torchrl.networks.layers import activation_class, perceptron
+from nfv_torchrl.settings.values import Activation, Widths
 
 
 class DuelingNetwork(QNetwork):
@@ -38,8 +37,8 @@ class DuelingNetwork(QNetwork):
         sizes: Sizes,
         outputs: int = 1,
         *,
-        hidden: Sequence[int] = (256, 256),
-        activation: str = "ReLU",
+        hidden: Widths = (256, 256),
+        activation: Activation = "ReLU",
         noisy: bool = False,
     ) -> None:
         super().__init__()

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from nfv_torchrl.networks.base import QNetwork, Sizes, split_outputs
 from nfv_torchrl.observations import MemoryObservation, ObservationPart
+from nfv_torchrl.settings.values import Width
 
 
 class GRUNetwork(QNetwork):
@@ -32,7 +33,7 @@ class GRUNetwork(QNetwork):
 
     in_keys = ("observation", "memory")
 
-    def __init__(self, sizes: Sizes, outputs: int = 1, *, hidden: int = 128) -> None:
+    def __init__(self, sizes: Sizes, outputs: int = 1, *, hidden: Width = 128) -> None:
         super().__init__()
         self.outputs, self.hidden = outputs, hidden
         self.encode = nn.Sequential(nn.Linear(sizes.observation, hidden), nn.ReLU())

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from nfv_torchrl.networks.base import QNetwork, Sizes, split_outputs
 from nfv_torchrl.networks.layers import perceptron
+from nfv_torchrl.settings.values import Activation, Width
 
 
 class MLPNetwork(QNetwork):
@@ -29,8 +30,8 @@ class MLPNetwork(QNetwork):
         sizes: Sizes,
         outputs: int = 1,
         *,
-        hidden: Sequence[int] = (256, 256),
-        activation: str = "ReLU",
+        hidden: Sequence[Width] = (256, 256),
+        activation: Activation = "ReLU",
         noisy: bool = False,
     ) -> None:
         super().__init__()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.learned_prices import ADMIT_FEATURES, LINK_FEATURES, VM_FEATURES, Head, PriceWeights
+from nfv_torchrl.settings.values import Neurons, OneOf, Positive
 
 
 class Rule(NamedTuple):
@@ -24,6 +25,7 @@ RULES = {"priced": Rule(64.0, None), "priced_admit": Rule(32.0, 75.0)}
 """p = 3200 $ without refusal; p = 1600 $ and refusal above 16,000 $."""
 
 BEGINNINGS = ("myopic_optimal", *RULES)
+Beginning = Annotated[str, OneOf(*BEGINNINGS)]
 
 LARGEST_UNIT = 1e9
 """Prices from any float32 weights stay finite in float64."""
@@ -69,7 +71,7 @@ class PriceNetwork(nn.Module):
 
     any_size = True
 
-    def __init__(self, *, hidden: int = 0, begin: str = "myopic_optimal", price_unit: float = 4.0) -> None:
+    def __init__(self, *, hidden: Neurons = 0, begin: Beginning = "myopic_optimal", price_unit: Positive = 4.0) -> None:
         super().__init__()
         if hidden < 0:
             raise ScenarioError(f"network.hidden: {hidden}; use 0 (linear functions) or more")

@@ -6,10 +6,12 @@ of that class. Everything else is a key with a type.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
@@ -265,6 +267,9 @@ class OfflineSettings(Run):
     eval: HeldOut
     saving: Saving
 
+    def __post_init__(self) -> None:
+        check_checkpoint(self.checkpoint, self.method)
+
 
 @dataclass(frozen=True)
 class Search:
@@ -339,6 +344,13 @@ class EvaluateSettings:
     bounds: bool
     audit: bool
     threads: Threads
+
+    def __post_init__(self) -> None:
+        check_checkpoint(self.checkpoint, self.method)
+        if self.checkpoint is not None and "checkpoint" not in self.method:
+            raise ScenarioError(
+                f"checkpoint: {self.checkpoint} would not be read; add it to the methods: method=[greedy,checkpoint]"
+            )
 
 
 @dataclass(frozen=True)
@@ -537,15 +549,7 @@ class MilpGapSettings:
     requests: Count
 
 
-@dataclass(frozen=True)
-class AuditSettings:
-    """The arguments of ``audit.py``."""
-
-    folders: Overrides
-
-
 RECIPES: dict[str, type] = {
-    "audit": AuditSettings,
     "benchmark": BenchmarkSettings,
     "compare_losses": CompareLossesSettings,
     "dqn": DqnSettings,
@@ -571,6 +575,31 @@ def read_settings(config: DictConfig | Mapping[str, Any], kind: type[Settings]) 
     if isinstance(config, DictConfig):
         config = _plain(config)
     return parse_dataclass(kind, config, "")
+
+
+def check_recipe(name: str, overrides: Sequence[str], recipes: Path) -> None:
+    """Check what ``recipes/NAME.py`` would be started with, without starting it.
+
+    Raises:
+        HydraException: overrides that Hydra cannot use.
+        ScenarioError: see ``read_settings``.
+    """
+    if name == "milp_gap":
+        options = dict(text.split("=", 1) for text in overrides)
+        read_settings({"seeds": 10, "requests": 30, **{key: int(text) for key, text in options.items()}}, RECIPES[name])
+        return
+    with initialize_config_dir(str(recipes.resolve() / "config"), version_base=None):
+        read_settings(compose(name, list(overrides)), RECIPES[name])
+
+
+def check_checkpoint(checkpoint: str | None, method: Mapping[str, Any]) -> None:
+    """``method=checkpoint`` needs ``checkpoint=PATH``.
+
+    Raises:
+        ScenarioError: it is null.
+    """
+    if checkpoint is None and "checkpoint" in method:
+        raise ScenarioError("checkpoint: is null; method=checkpoint needs a file, such as checkpoint=runs/dqn/best.pt")
 
 
 def check_segment(segment: int | None, stagger: bool) -> None:

@@ -9,24 +9,23 @@ from __future__ import annotations
 import collections.abc
 import inspect
 import os
+import pkgutil
 import types
 import typing
 from collections.abc import Mapping
 from typing import Annotated, Any, Union, get_args, get_origin
-
-from hydra.errors import HydraException
-from hydra.utils import get_object
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.settings.values import PLAIN, Count, Rule, Share, join, parse, refuse, refuse_key, shown
 
 OF_HYDRA = ("_target_", "_partial_", "_recursive_", "_convert_", "_args_")
 """Keys that ``hydra.utils.instantiate`` reads itself."""
-FOREIGN: dict[str, dict[str, Any]] = {
+SPECIAL: dict[str, dict[str, Any]] = {
     "torchrl.objectives.utils.HardUpdate": {"value_network_update_interval": Count},
     "torchrl.objectives.utils.SoftUpdate": {"eps": Share, "tau": Share},
+    "nfv_torchrl.training.policies.load_policy": {"path": str | None},
 }
-"""What arguments of TorchRL's may be, where its annotations do not say."""
+"""Arguments whose annotations do not say it: TorchRL's, and a path that is null where ``checkpoint`` names no file."""
 
 
 class Target(Rule):
@@ -86,9 +85,9 @@ def _locate(path: Any, where: str) -> Any:
     if not isinstance(path, str):
         raise ScenarioError(f"{where}._target_: {shown(path)}; give a class or function with its package")
     try:
-        target = get_object(path)
-    except (HydraException, ImportError, ValueError) as error:
-        why = " ".join(str(error.__cause__ or error).split())
+        target = pkgutil.resolve_name(path)
+    except Exception as error:  # whatever importing somebody's module raises
+        why = " ".join(f"{type(error).__name__}: {error}".split())
         raise ScenarioError(f"{where}._target_: {path!r} cannot be imported ({why}); check its name") from error
     if not callable(target):
         raise ScenarioError(f"{where}._target_: {path!r} is no class or function; name one")
@@ -101,7 +100,7 @@ def _check_kinds(target: Any, called: Any, arguments: Mapping[str, Any], where: 
         hints = typing.get_type_hints(called, include_extras=True)
     except Exception:  # annotations that cannot be evaluated, such as names imported for type checking only
         hints = {}
-    hints |= FOREIGN.get(f"{target.__module__}.{getattr(target, '__qualname__', '')}", {})
+    hints |= SPECIAL.get(f"{target.__module__}.{getattr(target, '__qualname__', '')}", {})
     for key, value in arguments.items():
         if isinstance(value, Mapping) and "_target_" in value:
             check_target(value, join(where, key))

@@ -122,12 +122,25 @@ Threads = Annotated[int, Exact(), Bounds(at_least=1, at_most=1024)]
 """Or processes."""
 Width = Annotated[int, Exact(), Bounds(at_least=1, at_most=2**16)]
 """Neurons of a layer."""
+Widths = Annotated[Sequence[Width], NotEmpty()]
 Seed = Annotated[int, Exact(), Bounds(at_least=0, at_most=2**32 - 1)]
 """What NumPy and torch both take."""
 SeedList = Annotated[Any, Seeds()]
 Positive = Annotated[float, Bounds(above=0)]
 NotNegative = Annotated[float, Bounds(at_least=0)]
 Share = Annotated[float, Bounds(at_least=0, at_most=1)]
+StepSize = Annotated[float, Bounds(above=0, at_most=1)]
+AtLeastOne = Annotated[float, Bounds(at_least=1)]
+Quantiles = Annotated[int, Exact(), Bounds(at_least=2, at_most=2**16)]
+Neurons = Annotated[int, Exact(), Bounds(at_least=0, at_most=2**16)]
+"""Of a hidden layer that may be left out."""
+Distance = Annotated[str, OneOf("l2", "l1", "smooth_l1")]
+"""How far a value is from its target."""
+StopKey = Annotated[str, OneOf("request_done", "done", "terminated")]
+"""Where looking ahead ends."""
+Activation = Annotated[
+    str, OneOf("ReLU", "Tanh", "ELU", "GELU", "SiLU", "Mish", "LeakyReLU", "SELU", "CELU", "Softplus", "Sigmoid")
+]
 
 
 def list_of_seeds(key: str, seeds: Any) -> list[int]:

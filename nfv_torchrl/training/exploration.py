@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from nfv_torchrl.settings.values import Count, Share
+
 
 def multiplicative(
-    frames: int, *, start: float = 1.0, end: float = 0.1, factor: float = 0.9, every: int = 60_000
+    frames: int, *, start: Share = 1.0, end: Share = 0.1, factor: Share = 0.9, every: Count = 60_000
 ) -> float:
     """Epsilon times ``factor`` every ``every`` frames, from ``start`` down to ``end`` (the paper: 1, 0.9, 0.1).
 
@@ -13,7 +15,7 @@ def multiplicative(
     return max(end, start * factor ** (frames // every))
 
 
-def linear(frames: int, *, start: float = 1.0, end: float = 0.05, over: int = 200_000) -> float:
+def linear(frames: int, *, start: Share = 1.0, end: Share = 0.05, over: Count = 200_000) -> float:
     """Epsilon on a straight line from ``start`` to ``end`` over the first ``over`` frames."""
     return end + (start - end) * max(0.0, 1.0 - frames / over)
 

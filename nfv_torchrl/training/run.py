@@ -21,6 +21,7 @@ from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.settings.values import list_of_seeds
 from nfv_torchrl.training.acting import acting_method
 from nfv_torchrl.training.checking import check_parts, load_part
 from nfv_torchrl.training.checkpoint import CheckpointFolder
@@ -159,7 +160,7 @@ def evaluate_policy(
     actor.eval()  # noisy networks act by their mean weights
     actor.to("cpu")
     method = method or acting_method(actor, q_network(loss), one_hot=config["one_hot"])
-    records = run_method(scenario, method, list(config["eval"]["seeds"]))
+    records = run_method(scenario, method, list_of_seeds("eval.seeds", config["eval"]["seeds"]))
     actor.to(device)
     actor.train()
     runs = [compute_metrics(record) for record in records]

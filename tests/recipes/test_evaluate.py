@@ -173,7 +173,7 @@ def test_refusals(tmp_path, capsys):
     assert "scenario_seeds: [1, 1]" in refused(capsys, "scenario_seeds=[1,1]", "seeds=2")
     assert "leave one of them null" in refused(capsys, "scenario_seeds=2", "seeds=2", "scenario.workload.path=a.csv")
     assert "reference: 'tabu'" in refused(capsys, "reference=tabu")
-    assert "no such key" in refused(capsys, "+colour=blue")
+    assert "unknown key" in refused(capsys, "+colour=blue")
     assert "horizon" in refused(capsys, "scenario.horizon=0")
     assert "paths is 0" in refused(capsys, "method.greedy.planner.paths=0")
     (tmp_path / "file").write_text("")
