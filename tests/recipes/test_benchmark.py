@@ -51,7 +51,7 @@ def test_networks_are_loaded_while_they_are_measured(measured):
 
 def test_unknown_parts_are_refused(tmp_path):
     done = run("benchmark.py", "parts=[engine]", cwd=tmp_path)
-    assert done.returncode == 2 and done.stderr.startswith("error: parts: 'engine'")
+    assert done.returncode == 2 and done.stderr.startswith("error: parts[0]: 'engine'")
 
 
 def test_training_speed_comes_from_the_recipe_itself(tmp_path):
