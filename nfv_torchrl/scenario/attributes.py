@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError, ScenarioWarning
-from nfv_torchrl.scenario.graph_files import GraphFile, shown
+from nfv_torchrl.scenario.graph_files import GraphFile
 from nfv_torchrl.scenario.quantities import (
     LEAST_POSITIVE,
     QUANTITIES,
@@ -26,6 +26,7 @@ from nfv_torchrl.scenario.quantities import (
     parse_value,
     units_of,
 )
+from nfv_torchrl.scenario.quoting import shown
 
 BOOKKEEPING = {"id", "key", "Internal", "hyperedge", "geocode_id", "file_id", "label", "vms"}
 """Attributes of files of the collection, and of ours, that are no quantities; they go without a warning."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.attributes import DRAWN, FileNumbers
-from nfv_torchrl.scenario.graph_files import shown
+from nfv_torchrl.scenario.quoting import shown
 from nfv_torchrl.scenario.resources import ResourceRanges, VmDraw, draw_vms
 from nfv_torchrl.scenario.substrate import check_vm_slots, vms_of
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import reprlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import networkx as nx
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import decode, read_bytes, read_json
 from nfv_torchrl.scenario.graphml import MAX_ENTRIES, parse_graphml
+from nfv_torchrl.scenario.quoting import one_line, shown
 
 SUFFIXES = (".json", ".graphml", ".gml")
 MAX_NETWORK_BYTES = 64 * 10**6
@@ -21,14 +21,6 @@ MAX_NODES = 10_000
 MAX_LINKS = 200_000
 MAX_DEPTH = 50
 """Brackets within brackets of a GML file; files of the collection have 3."""
-
-_short = reprlib.Repr()
-_short.maxstring = _short.maxother = _short.maxlong = 60
-
-
-def shown(value: Any) -> str:
-    """``value`` for a message: its repr, shortened."""
-    return _short.repr(value)
 
 
 @dataclass(frozen=True)
@@ -142,8 +134,9 @@ def _parse_gml(content: bytes, source: str) -> GraphFile:
     try:
         graph = nx.parse_gml(text.splitlines(), label="id")
     except _GML_ERRORS as error:
-        reason = " ".join(str(error).split())[:200]
-        raise ScenarioError(f"{source}: is not valid GML ({reason}); repair or replace the file") from error
+        raise ScenarioError(
+            f"{source}: is not valid GML ({one_line(str(error))}); repair or replace the file"
+        ) from error
     edges = list(graph.edges(data=True))
     return _assemble(
         source,

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.quoting import one_line
 
 NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
 MAX_DEPTH = 50
@@ -65,7 +66,7 @@ def parse_graphml(content: bytes, source: str) -> ParsedGraphML:
 
 
 def _invalid(source: str, reason: str) -> ScenarioError:
-    return ScenarioError(f"{source}: is not valid GraphML ({reason}); repair or replace the file")
+    return ScenarioError(f"{source}: is not valid GraphML ({one_line(reason)}); repair or replace the file")
 
 
 # -------------------------------------------------------------------- XML

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.scenario.graph_files import shown
+from nfv_torchrl.scenario.quoting import shown
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import write_atomically
-from nfv_torchrl.scenario.graph_files import read_node_link, shown
+from nfv_torchrl.scenario.graph_files import read_node_link
 from nfv_torchrl.scenario.links import Links, merge_links
+from nfv_torchrl.scenario.quoting import shown
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY, quantise
 
 LONGEST_NAME = 500
