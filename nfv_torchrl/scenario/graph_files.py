@@ -12,12 +12,12 @@ import networkx as nx
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import decode, read_bytes, read_json
 from nfv_torchrl.scenario.graphml import MAX_ENTRIES, parse_graphml
+from nfv_torchrl.scenario.limits import MAX_NODES
 from nfv_torchrl.scenario.quoting import one_line, shown
 
 SUFFIXES = (".json", ".graphml", ".gml")
 MAX_NETWORK_BYTES = 64 * 10**6
 """Largest network file that is read; parsed it takes at most some 2 GB."""
-MAX_NODES = 10_000
 MAX_LINKS = 200_000
 MAX_DEPTH = 50
 """Brackets within brackets of a GML file; files of the collection have 3."""

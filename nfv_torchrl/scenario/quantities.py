@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.limits import MAX_VMS
 from nfv_torchrl.scenario.quoting import shown
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 
@@ -59,7 +60,7 @@ _ALL = (
     Quantity("unit_cost", "link", "$ per Mbit/s"),
     Quantity("latitude", "node", "degrees", least=-90.0, most=90.0, zoo={"Latitude": Unit()}),
     Quantity("longitude", "node", "degrees", least=-180.0, most=180.0, zoo={"Longitude": Unit()}),
-    Quantity("vm_count", "node", "VMs", least=1.0, most=1000.0),
+    Quantity("vm_count", "node", "VMs", least=1.0, most=MAX_VMS),
     Quantity("vm_capacity", "node", "Mcycles/s", least=1 / LEDGER_UNITS),
     Quantity("vm_unit_cost", "node", "$ per Mcycles/s"),
 )

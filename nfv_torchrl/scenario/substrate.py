@@ -18,13 +18,12 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.scenario.graph_files import read_node_link
+from nfv_torchrl.scenario.limits import MAX_VMS
 from nfv_torchrl.scenario.links import Links, merge_links
 from nfv_torchrl.scenario.quoting import shown
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY, quantise
 
 LONGEST_NAME = 500
-MAX_VMS = 1000
-"""Most VM slots of a node; more would need tables of more than 0.2 GB for 10,000 nodes."""
 
 
 @dataclass(frozen=True, eq=False)
