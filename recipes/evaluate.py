@@ -8,7 +8,7 @@
 Prints the mean and the 95 % confidence interval of every metric over the workload seeds, and paired differences to a
 reference method. With scenario_seeds the network changes with the workload, and intervals are over networks. With
 output=DIR it writes DIR/METHOD/seed_S/ (scenario, substrate, workload, decisions, metrics), S the workload seed,
-DIR/summary.csv and DIR/per_seed.csv. All keys: config/evaluate.yaml.
+DIR/summary.csv, DIR/per_seed.csv and DIR/evaluation.json (what belongs to it). All keys: config/evaluate.yaml.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def add_bounds(comparison: Comparison, worlds: Sequence[Scenario], seeds: Sequen
 
 
 def audit(folder: Path) -> None:
-    """Recompute everything from the files in ``folder``."""
+    """Recompute everything from the files in ``folder`` but bounds, which have been solved a moment ago."""
     reports = audit_folders([folder], progress=lambda runs: tqdm(runs, desc="audit", unit="run", disable=None))
     found = [f"{report.folder}: {problem}" for report in reports for problem in report.problems]
     if found:

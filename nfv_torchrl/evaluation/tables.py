@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nfv_torchrl.evaluation.comparison import Comparison
+from nfv_torchrl.evaluation.manifest import write_manifest
 from nfv_torchrl.evaluation.statistics import Interval
 from nfv_torchrl.files import write_atomically
 
@@ -192,7 +193,8 @@ def _paired(
 
 def write_summary(folder: str | os.PathLike[str], comparison: Comparison, reference: str | None = None) -> list[Path]:
     """Write ``summary.csv`` (a row for each method and metric; paired figures name their ``reference``) and
-    ``per_seed.csv`` to ``folder``. An interval that is undefined is empty. Returns the two paths."""
+    ``per_seed.csv`` (every metric of every run, then the bounds) to ``folder``, and ``evaluation.json``, which says
+    what the folder holds. An interval that is undefined is empty. Returns the paths of the two tables."""
     paths = [Path(folder) / "summary.csv", Path(folder) / "per_seed.csv"]
     scenario = comparison.scenario
     about = (scenario.name, int(scenario.colocation), int(scenario.observe_lifetime))
@@ -207,8 +209,14 @@ def write_summary(folder: str | os.PathLike[str], comparison: Comparison, refere
         for seed, run in runs.items()
         for metric, value in run.items()
     ]
+    per_seed += [
+        (name, "" if seed is None else seed, "aar_bound", _number(value), *of_seed[seed])
+        for name, values in comparison.bounds.items()
+        for seed, value in values.items()
+    ]
     write_atomically(paths[0], _csv(SUMMARY_COLUMNS, summary))
     write_atomically(paths[1], _csv(PER_SEED_COLUMNS, per_seed))
+    write_manifest(folder, comparison, reference)
     return paths
 
 

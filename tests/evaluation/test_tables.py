@@ -136,7 +136,8 @@ def test_summary_and_per_seed_files(tmp_path):
     assert ("some", "paired_cost") not in by_key
     assert by_key["lp", "aar_bound"]["ci_low"] == ""
     seeds = list(csv.DictReader(per_seed.open()))
-    assert {(r["method"], r["seed"]) for r in seeds} == {(m, s) for m in ("some", "all") for s in ("1", "2")}
+    expected = {(m, s) for m in ("some", "all") for s in ("1", "2")} | {("lp", "1")}
+    assert {(r["method"], r["seed"]) for r in seeds} == expected
     values = {(r["method"], r["seed"], r["metric"]): r["value"] for r in seeds}
     assert float(values["some", "2", "aar"]) == 0.5
 

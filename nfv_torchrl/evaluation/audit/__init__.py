@@ -1,55 +1,41 @@
-"""Recomputes a run from its files alone and says what does not add up.
+"""Recomputes runs and evaluations from their files alone and says what does not add up.
 
-It shares no code with the simulator, the metrics or the readers of scenarios: what it checks against is written down
-here a second time, in plain Python.
+It shares no code with the simulator, the metrics, the tables or the readers of scenarios: what it checks against is
+written down here a second time, in plain Python.
 """
 
 from __future__ import annotations
 
-import json
+import csv
+import hashlib
+import math
 import os
+from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
-from nfv_torchrl.errors import AuditError
+from nfv_torchrl.evaluation.audit.evaluation import (
+    MANIFEST,
+    OF_METHOD,
+    TABLES,
+    RecomputeBound,
+    check_evaluation,
+    is_evaluation,
+)
 from nfv_torchrl.evaluation.audit.files import RunFiles, read_run
 from nfv_torchrl.evaluation.audit.problems import UnreadableRun
 from nfv_torchrl.evaluation.audit.recompute import compare, recompute_metrics
-from nfv_torchrl.evaluation.audit.replay import replay
-from nfv_torchrl.evaluation.audit.summary import check_summary
+from nfv_torchrl.evaluation.audit.replay import Replayed, replay
+from nfv_torchrl.evaluation.audit.report import AuditReport
 
-OF_METHOD = ("method", "mask", "admission_control")
-"""Keys of scenario.json that say how a method acts, not what world it met."""
+__all__ = ["AuditReport", "audit_folders", "audit_run", "find_runs"]
 
-
-@dataclass
-class AuditReport:
-    """What the audit of one folder found: ``problems`` in words, empty if all is well, and the metrics anew.
-
-    ``metrics`` is empty where nothing could be recomputed; ``seed`` is the workload seed as text, empty without one.
-    """
-
-    folder: Path
-    problems: list[str]
-    metrics: dict[str, float | None] = field(default_factory=dict)
-    requests: int = 0
-    method: str = ""
-    seed: str = ""
-
-    @property
-    def clean(self) -> bool:
-        return not self.problems
-
-    def raise_if_problems(self) -> None:
-        """Do nothing if all is well.
-
-        Raises:
-            AuditError: there are problems; the message lists them.
-        """
-        if self.problems:
-            raise AuditError("\n  ".join([f"{self.folder}: the audit found", *self.problems]))
+UNEXPECTED = (
+    ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError, MemoryError, OSError,
+    csv.Error,
+)  # fmt: skip
+"""What files that nobody thought of may cause: a problem of this folder, while others are audited still."""
 
 
 def audit_run(folder: str | os.PathLike[str]) -> AuditReport:
@@ -57,16 +43,15 @@ def audit_run(folder: str | os.PathLike[str]) -> AuditReport:
 
     Checked: every request is answered once and in order; every hop is a link or a permitted stay; functions in order;
     walks end at the egress; capacities, exactly, with all running requests at every moment; delays, departures,
-    failures and interruptions, costs; every metric.
+    failures and interruptions, costs; the reason of every rejection; every metric but the wall time of decisions.
     """
     path = Path(folder)
     try:
         return _recompute(path, read_run(path))
     except UnreadableRun as error:
         return AuditReport(path, [str(error)])
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        # Files may hold anything: what nobody thought of is a problem of this run, and others are audited still.
-        return AuditReport(path, [f"the files cannot be replayed: {error!r}"])
+    except UNEXPECTED as error:
+        return AuditReport(path, [f"the files cannot be replayed: {error!r:.300}"])
 
 
 def _recompute(path: Path, files: RunFiles) -> AuditReport:
@@ -74,15 +59,31 @@ def _recompute(path: Path, files: RunFiles) -> AuditReport:
     metrics = {} if run is None else recompute_metrics(files, run)
     if run is not None:
         compare(files, metrics)
-    seed = files.scenario["seeds"].get("workload")
     return AuditReport(
         path,
         files.problems.texts(),
         metrics,
         requests=len(files.workload),
-        method=files.scenario["method"],
-        seed="" if seed is None else str(seed),
+        costs=array("d") if run is None else _costs(files, run),
+        scenario=files.scenario,
+        stated=files.metrics,
+        world=_world(path, files),
     )
+
+
+def _costs(files: RunFiles, run: Replayed) -> array[float]:
+    first = files.scenario["warmup"]
+    counted = (answer.accepted and answer.request.slot >= first for answer in run.answers)
+    costs = (answer.walk.cost for answer in run.answers)
+    return array("d", (cost if mine else math.nan for cost, mine in zip(costs, counted, strict=True)))
+
+
+def _world(path: Path, files: RunFiles) -> dict[str, object]:
+    """What every method meets alike under one seed."""
+    return {
+        "scenario.json": {key: value for key, value in files.scenario.items() if key not in OF_METHOD},
+        **{name: hashlib.sha256((path / name).read_bytes()).digest() for name in ("substrate.json", "workload.csv")},
+    }
 
 
 def find_runs(root: str | os.PathLike[str]) -> list[Path]:
@@ -92,54 +93,63 @@ def find_runs(root: str | os.PathLike[str]) -> list[Path]:
 
 
 def audit_folders(
-    roots: Sequence[str | os.PathLike[str]], progress: Callable[[list[Path]], Iterable[Path]] = iter
+    roots: Sequence[str | os.PathLike[str]],
+    progress: Callable[[list[Path]], Iterable[Path]] = iter,
+    recompute_bound: RecomputeBound | None = None,
 ) -> list[AuditReport]:
-    """Audit all runs at or below ``roots``, and that the methods of one evaluation met the same world.
+    """Audit all runs at or below ``roots``, and each evaluation of which all runs are among them.
 
     Args:
         roots: folders; one that holds no run is reported as a problem.
         progress: wraps the list of run folders to show how far the audit is (``tqdm``).
+        recompute_bound: solves a bound again; without it bounds are only compared with the runs.
 
     Returns:
-        One report a run, and one for each summary.csv that does not fit its runs.
+        One report a run, and one for each evaluation that does not fit its runs.
     """
-    runs = {root: find_runs(root) for root in roots}
-    reports = [AuditReport(Path(root), ["no run in this folder"]) for root, found in runs.items() if not found]
-    folders = sorted({folder for found in runs.values() for folder in found})
-    reports += [audit_run(folder) for folder in progress(folders)]
-    by_folder = {report.folder: report for report in reports}
-    for folder, problem in _other_worlds(folders):
-        by_folder[folder].problems.append(problem)
-    for root, found in runs.items():
-        for output in sorted({folder.parent.parent for folder in found}):
-            # Only where all runs of the evaluation were audited, not where one of them was asked for.
-            if output.is_relative_to(root) and (output / "summary.csv").exists():
-                here = {(r.method, r.seed): r.metrics for r in reports if r.folder.parent.parent == output}
-                problems = check_summary(output, here)
-                reports += [AuditReport(output / "summary.csv", problems)] if problems else []
+    found = {Path(root): find_runs(root) for root in roots}
+    evaluations = {output for root, runs in found.items() for output in _outputs(root, runs)}
+    reports = [
+        AuditReport(root, ["no run in this folder"])
+        for root, runs in found.items()
+        if not runs and root not in evaluations
+    ]
+    folders = sorted({folder for runs in found.values() for folder in runs})
+    by_folder = {folder: audit_run(folder) for folder in progress(folders)}
+    reports += by_folder.values()
+    _report_other_worlds(by_folder)
+    for output in sorted(evaluations):
+        report = _audit_evaluation(output, by_folder, recompute_bound)
+        reports += [] if report.clean else [report]
     return reports
 
 
-def _other_worlds(folders: list[Path]) -> list[tuple[Path, str]]:
-    """Runs OUTPUT/METHOD/SEED whose network, requests or scenario are not those of another METHOD for that SEED."""
-    same_seed: dict[tuple[Path, str], list[Path]] = defaultdict(list)
-    for folder in folders:
-        same_seed[folder.parent.parent, folder.name].append(folder)
-    problems = []
-    for group in same_seed.values():
-        for folder in group[1:]:
-            for name in ("scenario.json", "substrate.json", "workload.csv"):
-                if _world(group[0] / name) != _world(folder / name):
-                    problems.append((folder, f"{name} differs from that of {group[0].parent.name} for the same seed"))
-    return problems
+def _outputs(root: Path, runs: Sequence[Path]) -> set[Path]:
+    """The evaluations at or below ``root``, with or without runs; not one of which a single run was asked for."""
+    folders = {run.parent.parent for run in runs} | {
+        path.parent for name in (MANIFEST, *TABLES) for path in root.rglob(name)
+    }
+    return {folder for folder in folders if folder.is_relative_to(root) and is_evaluation(folder)}
 
 
-def _world(path: Path) -> object:
-    """The content of a file, of scenario.json without :data:`OF_METHOD`. None if unreadable: reported elsewhere."""
+def _audit_evaluation(
+    folder: Path, reports: dict[Path, AuditReport], recompute_bound: RecomputeBound | None
+) -> AuditReport:
     try:
-        content = path.read_bytes()
-        if path.name != "scenario.json":
-            return content
-        return {key: value for key, value in json.loads(content).items() if key not in OF_METHOD}
-    except (OSError, ValueError, AttributeError):
-        return None
+        return check_evaluation(folder, reports, recompute_bound)
+    except UNEXPECTED as error:
+        return AuditReport(folder, [f"the evaluation cannot be checked: {error!r:.300}"])
+
+
+def _report_other_worlds(reports: dict[Path, AuditReport]) -> None:
+    """Runs OUTPUT/METHOD/SEED whose network, requests or scenario are not those of another METHOD for that SEED."""
+    same_seed: dict[tuple[Path, str], list[AuditReport]] = defaultdict(list)
+    for folder, report in reports.items():
+        if report.world:
+            same_seed[folder.parent.parent, folder.name].append(report)
+    for first, *others in same_seed.values():
+        for report in others:
+            for name, content in report.world.items():
+                if content != first.world[name]:
+                    of = first.folder.parent.name
+                    report.problems.append(f"{name} differs from that of {of} for the same seed")

@@ -6,11 +6,13 @@ Nothing here, nor anywhere in the audit, uses the code that made the run: a mist
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
+import stat
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from nfv_torchrl.evaluation.audit.problems import Problems, UnreadableRun
 
@@ -18,6 +20,11 @@ UNITS = 1_000_000
 """Whole bit/s in a Mbit/s, whole cycles/s in a Mcycles/s: amounts are compared as whole numbers, exactly."""
 LONGEST_STAY = 2**40
 """Slots; whoever asks for more leaves then."""
+LONGEST_HORIZON, MOST_REQUESTS = 10_000_000, 5_000_000
+LARGEST_FILE, LONGEST_LINE = 2 << 30, 16 << 20
+"""Bytes. More than any run has; a device or a damaged file shall not fill the memory."""
+LARGEST_INTEGER = 2**128
+"""Seeds have that many bits at most."""
 
 WORKLOAD_HEADERS = [
     ["slot", "service", "ingress_index", "egress_index", "lifetime"],
@@ -94,23 +101,26 @@ def read_run(folder: Path) -> RunFiles:
         UnreadableRun: a file is missing, or broken beyond what can be reported line by line.
     """
     problems = Problems()
-    scenario = _read_json(folder / "scenario.json")
+    scenario = read_json(folder / "scenario.json")
     for key, kind in SCENARIO_KEYS.items():
-        if key not in scenario or not isinstance(scenario[key], kind):
+        wrong = isinstance(scenario.get(key), bool) and kind is not bool
+        if key not in scenario or wrong or not isinstance(scenario[key], kind):
             raise UnreadableRun(f"scenario.json: '{key}' is missing or of the wrong kind")
+    if not 0 <= scenario["warmup"] < scenario["horizon"] <= LONGEST_HORIZON or scenario["max_steps"] < 1:
+        raise UnreadableRun("scenario.json: horizon, warmup or max_steps is out of range")
     try:
         services = _services(scenario)
-        vms, links = _substrate(_read_json(folder / "substrate.json"), problems)
+        vms, links = _substrate(read_json(folder / "substrate.json"), problems)
         workload = _workload(folder / "workload.csv", len(vms), services, scenario["horizon"])
     except (KeyError, TypeError, AttributeError) as error:
         raise UnreadableRun(f"scenario.json or substrate.json lacks something: {error!r}") from error
     decisions = _decisions(folder / "decisions.jsonl", problems)
-    return RunFiles(scenario, vms, links, services, workload, decisions, _read_json(folder / "metrics.json"), problems)
+    return RunFiles(scenario, vms, links, services, workload, decisions, read_json(folder / "metrics.json"), problems)
 
 
 def is_number(value: Any) -> bool:
     """A finite JSON number; true and false are none."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return is_index(value) or (isinstance(value, float) and math.isfinite(value))
 
 
 def is_index(value: Any) -> bool:
@@ -153,47 +163,70 @@ def _substrate(document: dict[str, Any], problems: Problems) -> tuple[list[list[
     return vms, links
 
 
+def read_csv(path: Path, *headers: list[str]) -> list[tuple[int, list[str]]]:
+    """The rows below one of the ``headers``, with their line numbers.
+
+    Raises:
+        UnreadableRun: the file cannot be read, or its first line is another.
+    """
+    rows = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
+    try:
+        if next(rows, None) not in headers:
+            raise UnreadableRun(f"{path.name}: the header is not {','.join(headers[0])}")
+        return [(rows.line_num, row) for row in rows]
+    except csv.Error as error:
+        raise UnreadableRun(f"{path.name} line {rows.line_num}: {error}") from error
+
+
 def _workload(path: Path, nodes: int, services: dict[str, Service], horizon: int) -> list[Request]:
     requests: list[Request] = []
-    with _open(path) as file:
-        rows = csv.reader(file)
-        if next(rows, None) not in WORKLOAD_HEADERS:
-            raise UnreadableRun(f"workload.csv: the header is not {','.join(WORKLOAD_HEADERS[0])}")
-        for row in rows:
-            where = f"workload.csv line {rows.line_num}"
-            try:
-                slot, service, ingress, egress, lifetime = row
-                request = Request(int(slot), service, int(ingress), int(egress), float(lifetime))
-            except ValueError as error:
-                raise UnreadableRun(f"{where}: {error}") from error
-            earliest = requests[-1].slot if requests else 0
-            if not earliest <= request.slot < horizon:
-                raise UnreadableRun(f"{where}: slot {request.slot} is out of order or beyond the horizon {horizon}")
-            if service not in services:
-                raise UnreadableRun(f"{where}: unknown service {service!r}")
-            if not (0 <= request.ingress < nodes and 0 <= request.egress < nodes and ingress != egress):
-                raise UnreadableRun(f"{where}: ingress {ingress} and egress {egress} are not two nodes of the network")
-            if not 0 < request.lifetime < math.inf:
-                raise UnreadableRun(f"{where}: the lifetime {lifetime} is not positive")
-            requests.append(request)
+    for line, row in read_csv(path, *WORKLOAD_HEADERS):
+        where = f"workload.csv line {line}"
+        try:
+            slot, service, ingress, egress, lifetime = row
+            request = Request(int(slot), service, int(ingress), int(egress), float(lifetime))
+        except ValueError as error:
+            raise UnreadableRun(f"{where}: {error}") from error
+        earliest = requests[-1].slot if requests else 0
+        if not earliest <= request.slot < horizon:
+            raise UnreadableRun(f"{where}: slot {request.slot} is out of order or beyond the horizon {horizon}")
+        if service not in services:
+            raise UnreadableRun(f"{where}: unknown service {service!r}")
+        if not (0 <= request.ingress < nodes and 0 <= request.egress < nodes and ingress != egress):
+            raise UnreadableRun(f"{where}: ingress {ingress} and egress {egress} are not two nodes of the network")
+        if not 0 < request.lifetime < math.inf:
+            raise UnreadableRun(f"{where}: the lifetime {lifetime} is not positive")
+        requests.append(request)
     return requests
 
 
 def _decisions(path: Path, problems: Problems) -> list[dict[str, Any] | None]:
-    decoder = json.JSONDecoder(parse_constant=_refuse_constant, object_pairs_hook=_object)
     decisions: list[dict[str, Any] | None] = []
     with _open(path) as file:
-        for line, text in enumerate(file, start=1):
+        while line := file.readline(LONGEST_LINE):
+            where = f"decisions.jsonl line {len(decisions) + 1}"
+            if len(decisions) == MOST_REQUESTS or len(line) == LONGEST_LINE:
+                raise UnreadableRun(f"{where}: more than {MOST_REQUESTS} lines, or one too long to be a decision")
             decision = None
             try:
-                decision = decoder.decode(text)
-                if not isinstance(decision, dict):
-                    decision = None
-                    raise ValueError("not a JSON object")
+                decision = _parse_object(line)
+                if not line.endswith(b"\n"):
+                    problems.add(f"{where}: the line is not ended, the file may have been cut")
             except ValueError as error:
-                problems.add(f"decisions.jsonl line {line}: {error}")
+                problems.add(f"{where}: {error}")
             decisions.append(decision)
     return decisions
+
+
+def _parse_object(data: bytes) -> dict[str, Any]:
+    """The JSON object in ``data``; a ValueError says why there is none."""
+    try:
+        document = _DECODER.decode(data.decode("utf-8"))
+    except RecursionError:
+        raise ValueError("brackets are nested too deeply") from None
+    if not isinstance(document, dict):
+        raise ValueError("not a JSON object")
+    return document
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -207,19 +240,62 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name} is not a JSON number")
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]} is too large a number")
+    return value
+
+
+def _integer(text: str) -> int:
+    value = int(text) if len(text) < 50 else LARGEST_INTEGER
+    if abs(value) >= LARGEST_INTEGER:
+        raise ValueError(f"{text[:20]}... is too large an integer")
+    return value
+
+
+_DECODER = json.JSONDecoder(
+    parse_constant=_refuse_constant, object_pairs_hook=_object, parse_float=_finite, parse_int=_integer
+)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Raises:
+        UnreadableRun: there is none.
+    """
     with _open(path) as file:
         try:
-            document = json.load(file, parse_constant=_refuse_constant, object_pairs_hook=_object)
+            return _parse_object(file.read())
         except ValueError as error:
             raise UnreadableRun(f"{path.name}: {error}") from error
-    if not isinstance(document, dict):
-        raise UnreadableRun(f"{path.name}: not a JSON object")
-    return document
 
 
-def _open(path: Path) -> Any:
+def read_text(path: Path) -> str:
+    """The text of a file whose last line is ended.
+
+    Raises:
+        UnreadableRun: it is no such text.
+    """
+    with _open(path) as file:
+        try:
+            text = file.read().decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise UnreadableRun(f"{path.name}: {error}") from error
+    if text and not text.endswith("\n"):
+        raise UnreadableRun(f"{path.name}: the last line is not ended, the file may have been cut")
+    return text
+
+
+def _open(path: Path) -> BinaryIO:
+    """A file for reading; links, devices and pipes are none that an evaluation writes, and may never end."""
     try:
-        return path.open(newline="", encoding="utf-8")
+        about = path.lstat()
+        if not stat.S_ISREG(about.st_mode):
+            raise UnreadableRun(f"{path.name}: is a link, a folder or a device, not a file")
+        if about.st_size > LARGEST_FILE:
+            raise UnreadableRun(f"{path.name}: {about.st_size / 1e9:.1f} GB, more than any run has")
+        return path.open("rb")
     except OSError as error:
         raise UnreadableRun(f"{path.name}: {error.strerror}") from error

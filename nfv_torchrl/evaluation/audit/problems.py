@@ -5,6 +5,9 @@ from __future__ import annotations
 MOST_SHOWN = 50
 """One mistake early in a run can make every later line wrong; the rest is counted, not listed."""
 
+LONGEST = 400
+"""Characters of a problem: files may hold anything, and messages quote them."""
+
 
 class UnreadableRun(Exception):
     """A file is missing or so broken that nothing can be recomputed from it."""
@@ -20,7 +23,7 @@ class Problems:
     def add(self, text: str) -> None:
         self._found += 1
         if len(self._shown) < MOST_SHOWN:
-            self._shown.append(text)
+            self._shown.append(text if len(text) <= LONGEST else f"{text[:LONGEST]}...")
 
     def texts(self) -> list[str]:
         """What was found, and how many more there are."""

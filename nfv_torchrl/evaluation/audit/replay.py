@@ -89,7 +89,10 @@ def _where(line: int) -> str:
 
 
 def _identity(decision: dict[str, Any]) -> tuple[Any, ...]:
-    return tuple(decision.get(key) for key in Request._fields)
+    """As a row of the workload has it; what only equals a number of it (true, 1.0) comes back as text."""
+    slot, service, ingress, egress, lifetime = (decision.get(key) for key in Request._fields)
+    slot, ingress, egress = (value if is_index(value) else str(value) for value in (slot, ingress, egress))
+    return slot, service, ingress, egress, lifetime if is_number(lifetime) else str(lifetime)
 
 
 class _Replay:
@@ -171,7 +174,7 @@ class _Replay:
     def _check_interruptions(self) -> None:
         for index, (answer, decision) in enumerate(zip(self.done.answers, self.files.decisions, strict=True)):
             stated = None if decision is None else decision.get("interrupted_at")
-            if decision is not None and (stated != answer.interrupted_at or isinstance(stated, bool)):
+            if decision is not None and (stated != answer.interrupted_at or isinstance(stated, (bool, float))):
                 self.problems.add(
                     f"{_where(index + 1)}: interrupted_at is {stated}, by the failure timeline it is "
                     f"{answer.interrupted_at}"
