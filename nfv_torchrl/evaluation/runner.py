@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from nfv_torchrl.codec import decode_action
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import Method
 from nfv_torchrl.evaluation.records import FORWARD, NO_ACTION, REJECT, RunRecord
@@ -162,14 +163,15 @@ def _record(
 
 
 def _steps(actions: np.ndarray, offsets: np.ndarray, nodes: int, vms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Node, VM and function, int32 each, of actions 2 (n V + v) + s; functions are placed in the order of the chain.
+    """Node, VM and function, int32 each, of actions; functions are placed in the order of the chain.
 
     Instead of a node: ``REJECT`` for the action after all of these, ``NO_ACTION`` for -1.
     """
-    places = (actions % 2 == 1) & (actions >= 0)
+    node, vm, places = decode_action(actions, vms)
+    places &= actions >= 0
     placed = np.r_[0, np.cumsum(places)]  # before each step, over all walks
     before = np.repeat(placed[offsets[:-1]], np.diff(offsets))  # placed before the walk began
     function = np.where(places, placed[:-1] - before, FORWARD)
-    node = np.where(actions < 0, NO_ACTION, actions // (2 * vms))
+    node = np.where(actions < 0, NO_ACTION, node)
     node[node == nodes] = REJECT
-    return node.astype(np.int32), (actions // 2 % vms).astype(np.int32), function.astype(np.int32)
+    return node.astype(np.int32), vm.astype(np.int32), function.astype(np.int32)

@@ -7,9 +7,11 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 
+from nfv_torchrl.codec import count_actions, decode_action
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
-from nfv_torchrl.simulator.mask import PASSES, check_step, find_link
+from nfv_torchrl.simulator.mask import PASSES, check_step
+from nfv_torchrl.simulator.steps import Step, find_link, link_cost, step_cost, vm_cost, vm_delay
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 FEATURES = (
@@ -54,9 +56,9 @@ def _finish_costs_from(tables, net, colocation, rate, service, i, functions, egr
     load = tables.load[service, min(i, functions - 1)] if i < functions else 0.0
     for node in range(nodes):
         if i == functions:
-            costs[i, node, egress] = rate * tables.link_cost_to[net, node, egress]
+            costs[i, node, egress] = link_cost(tables.link_cost_to[net, node, egress], rate)
         elif node == egress or colocation:
-            costs[i, node, egress] = _cheapest_vm(tables, net, node) * load + costs[i + 1, node, egress]
+            costs[i, node, egress] = vm_cost(_cheapest_vm(tables, net, node), load) + costs[i + 1, node, egress]
     changed = i < functions
     while changed:
         changed = False
@@ -68,9 +70,9 @@ def _finish_costs_from(tables, net, colocation, rate, service, i, functions, egr
                 near = tables.neighbour[net, node, k]
                 onward = min(
                     costs[i, near, egress],
-                    _cheapest_vm(tables, net, near) * load + costs[i + 1, near, egress],
+                    vm_cost(_cheapest_vm(tables, net, near), load) + costs[i + 1, near, egress],
                 )
-                hop = rate * tables.link_unit_cost[net, tables.neighbour_link[net, node, k]]
+                hop = link_cost(tables.link_unit_cost[net, tables.neighbour_link[net, node, k]], rate)
                 best = min(best, hop + onward)
             if best < costs[i, node, egress]:
                 costs[i, node, egress] = best
@@ -128,29 +130,24 @@ def _write_step(world, b, costs, references, action, row):
     tables, ledger, e = world.tables, world.ledger, world.env[b]
     vms = ledger.vm_offered.shape[2]
     net, service, egress = e.net, e.service, e.egress
-    node, vm, place = action // (2 * vms), (action // 2) % vms, action % 2 == 1
+    node, vm, place = decode_action(action, vms)
     link = np.int64(-1) if node == e.node else find_link(tables, net, e.node, node)
+    step = Step(link, node, vm, place)
     tolerable = tables.tolerable_delay[service]
     elapsed = e.elapsed
-    cost = 0.0
     done = e.function
     vm_taken = np.int64(0)
     row[1] = place
     row[2] = link < 0
     row[3] = node == egress
-    refusal = check_step(
-        tables, world.rules, ledger, b, net, service, e.function, e.elapsed, e.steps, link, node, vm, place
-    )
-    row[4] = refusal == PASSES
+    row[4] = check_step(world, b, step) == PASSES
     if place:
         load = tables.load[service, e.function]
         vm_taken = tables.load_units[service, e.function]
-        cost += tables.vm_unit_cost[net, node, vm] * load
-        elapsed += 1000.0 * load / tables.vm_speed[net, node, vm]
+        elapsed += vm_delay(load, tables.vm_speed[net, node, vm])
         row[8] = load / tables.vm_speed[net, node, vm]
         done += 1
     if link >= 0:
-        cost += tables.link_unit_cost[net, link] * tables.rate[service]
         elapsed += tables.hop_delay[net, service, link]
         capacity = tables.link_capacity[net, link]
         row[10] = (capacity - ledger.link_offered[b, link] + tables.rate_units[service]) / capacity
@@ -162,7 +159,7 @@ def _write_step(world, b, costs, references, action, row):
         free += ledger.vm_offered[b, node, v]
         total += tables.vm_capacity[net, node, v]
     row[9] = 1.0 - free / total
-    row[5] = cost / references[net, service]
+    row[5] = step_cost(tables, e, step) / references[net, service]
     row[6] = costs[net, service, done, node, egress] / references[net, service]
     row[12] = elapsed / tolerable
     row[13] = tables.delay_to[net, service, node, egress] / tolerable
@@ -219,7 +216,7 @@ class CandidateObservation:
         """Rows C and features."""
         tables = simulator.tables
         vms, degrees = tables.vm_capacity.shape[2], tables.neighbour.shape[2]
-        return 2 * vms * (degrees + 1) + 1, len(FEATURES) + tables.load.shape[0]
+        return count_actions(degrees + 1, vms), len(FEATURES) + tables.load.shape[0]
 
     def specs(self, simulator: Simulator) -> dict:
         """See ``ObservationPart``."""

@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Categorical, Composite, Unbounded
 
+from nfv_torchrl.codec import count_vms
 from nfv_torchrl.observations.request import current_requests
 from nfv_torchrl.simulator import Simulator
 
@@ -67,12 +68,12 @@ class GraphObservation:
         _, nodes, vms = simulator.world.ledger.vm_offered.shape
         flat, tables = simulator.world.seen.flat, simulator.tables
         requests, rows = current_requests(simulator), np.arange(batch)
-        use = flat[:, : nodes * vms].reshape(batch, nodes, vms)
+        use = flat[:, : count_vms(nodes, vms)].reshape(batch, nodes, vms)
         vm_exists, speed, vm_cost = self._vm_static
         link_exists, link_cost = self._link_static
         net, service = simulator.world.env["net"], requests["service"]
         delay = tables.hop_delay[net, service] / tables.tolerable_delay[service][:, None]
-        link_use = flat[:, nodes * vms : nodes * vms + link_exists.shape[1]]
+        link_use = flat[:, count_vms(nodes, vms) :][:, : link_exists.shape[1]]
         marks = np.zeros((batch, nodes, len(NODE_FEATURES)), np.float32)
         for column, name in enumerate(("node", "ingress", "egress")):
             marks[rows, requests[name], column] = 1.0

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nfv_torchrl.codec import count_vms, link_resource, split_vm, vm_resource
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.settings.values import parse
@@ -50,7 +51,7 @@ class FailureTimeline:
 
     Attributes:
         slot: int64 [E].
-        resource: int64 [E]; VM v of node n is n * V + v, link l is N * V + l (V the substrate's ``max_vms``).
+        resource: int64 [E]; numbered as in ``nfv_torchrl.codec``, with V the substrate's ``max_vms``.
         up: bool [E]; True is a repair, False a failure.
     """
 
@@ -69,11 +70,11 @@ class FailureTimeline:
     def to_events(self, substrate: Substrate) -> list[dict[str, Any]]:
         """For JSON: ``slot``, ``event`` (``repair`` or ``failure``), and ``vm`` [node, VM] or ``link`` [u, v]."""
         events = []
-        vms = substrate.num_nodes * substrate.max_vms
+        vms = count_vms(substrate.num_nodes, substrate.max_vms)
         for slot, resource, up in zip(self.slot.tolist(), self.resource.tolist(), self.up.tolist(), strict=True):
             event: dict[str, Any] = {"slot": slot, "event": "repair" if up else "failure"}
             if resource < vms:
-                event["vm"] = list(divmod(resource, substrate.max_vms))
+                event["vm"] = list(split_vm(resource, substrate.max_vms))
             else:
                 event["link"] = substrate.links[resource - vms].tolist()
             events.append(event)
@@ -110,12 +111,12 @@ def _resource_indices(substrate: Substrate) -> dict[tuple[str, int, int], int]:
     """Index of every existing resource by ("vm", node, VM) or ("link", u, v)."""
     width = substrate.max_vms
     vms = {
-        ("vm", node, vm): node * width + vm
+        ("vm", node, vm): vm_resource(node, vm, width)
         for node, count in enumerate(substrate.vm_count.tolist())
         for vm in range(count)
     }
-    first = substrate.num_nodes * width
-    return vms | {("link", u, v): first + link for link, (u, v) in enumerate(substrate.links.tolist())}
+    links = enumerate(substrate.links.tolist())
+    return vms | {("link", u, v): link_resource(link, substrate.num_nodes, width) for link, (u, v) in links}
 
 
 def _parse_event(event: Any, indices: dict[tuple[str, int, int], int], where: str) -> tuple[int, bool, int]:

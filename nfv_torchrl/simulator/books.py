@@ -4,43 +4,46 @@ from __future__ import annotations
 
 import numpy as np
 
+from nfv_torchrl.codec import count_vms, link_resource, split_vm, vm_resource
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.view import show_share
 
 
 @part
-def change_vm(tables, ledger, env, flat, b, node, vm, amount):
+def change_vm(world, b, node, vm, amount):
     """Reserve ``amount`` ledger units of a VM (give back when negative)."""
-    e = env[b]
+    ledger, e = world.ledger, world.env[b]
     ledger.vm_reserved[b, node, vm] += amount
     e.vm_used += amount
     if not ledger.vm_failed[b, node, vm]:
         ledger.vm_offered[b, node, vm] -= amount
-        vms = ledger.vm_offered.shape[2]
-        capacity = tables.vm_capacity[e.net, node, vm]
-        show_share(flat, b, node * vms + vm, capacity, ledger.vm_offered[b, node, vm])
+        resource = vm_resource(node, vm, ledger.vm_offered.shape[2])
+        capacity = world.tables.vm_capacity[e.net, node, vm]
+        show_share(world.seen.flat, b, resource, capacity, ledger.vm_offered[b, node, vm])
 
 
 @part
-def change_link(tables, ledger, env, flat, b, link, amount):
+def change_link(world, b, link, amount):
     """Reserve ``amount`` ledger units of a link (give back when negative)."""
-    e = env[b]
+    ledger, e = world.ledger, world.env[b]
     ledger.link_reserved[b, link] += amount
     e.link_used += amount
     if not ledger.link_failed[b, link]:
         ledger.link_offered[b, link] -= amount
-        first = ledger.vm_offered.shape[1] * ledger.vm_offered.shape[2]
-        show_share(flat, b, first + link, tables.link_capacity[e.net, link], ledger.link_offered[b, link])
+        resource = link_resource(link, ledger.vm_offered.shape[1], ledger.vm_offered.shape[2])
+        capacity = world.tables.link_capacity[e.net, link]
+        show_share(world.seen.flat, b, resource, capacity, ledger.link_offered[b, link])
 
 
 @part
-def _give_back(tables, ledger, env, flat, b, resource, amount):
-    vms = ledger.vm_offered.shape[2]
-    first_link = ledger.vm_offered.shape[1] * vms
+def _give_back(world, b, resource, amount):
+    _, nodes, vms = world.ledger.vm_offered.shape
+    first_link = count_vms(nodes, vms)
     if resource < first_link:
-        change_vm(tables, ledger, env, flat, b, resource // vms, resource % vms, -amount)
+        node, vm = split_vm(resource, vms)
+        change_vm(world, b, node, vm, -amount)
     else:
-        change_link(tables, ledger, env, flat, b, resource - first_link, -amount)
+        change_link(world, b, resource - first_link, -amount)
 
 
 @part
@@ -48,7 +51,7 @@ def release_walk(world, b):
     """A rejected walk gives back at once all that it had reserved."""
     walk = world.walk
     for k in range(world.env[b].entries):
-        _give_back(world.tables, world.ledger, world.env, world.seen.flat, b, walk.resource[b, k], walk.amount[b, k])
+        _give_back(world, b, walk.resource[b, k], walk.amount[b, k])
 
 
 @part
@@ -83,15 +86,7 @@ def end_record(world, b, record):
     running, e = world.running, world.env[b]
     entry = running.record_entry[b, record]
     while entry != -1:
-        _give_back(
-            world.tables,
-            world.ledger,
-            world.env,
-            world.seen.flat,
-            b,
-            running.entry_resource[b, entry],
-            running.entry_amount[b, entry],
-        )
+        _give_back(world, b, running.entry_resource[b, entry], running.entry_amount[b, entry])
         following = running.entry_next[b, entry]
         running.entry_next[b, entry] = e.free_entry
         e.free_entry = entry

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from nfv_torchrl.codec import decode_action, link_resource, vm_resource
 from nfv_torchrl.simulator.books import change_link, change_vm, empty_network, keep_running, release_walk
 from nfv_torchrl.simulator.compiled import kernel, part
-from nfv_torchrl.simulator.mask import PASSES, check_step, find_link, write_mask
+from nfv_torchrl.simulator.mask import PASSES, check_step, write_mask
 from nfv_torchrl.simulator.reasons import NO_REASON, Reason
 from nfv_torchrl.simulator.slots import next_request, open_slot
 from nfv_torchrl.simulator.state import (
@@ -26,6 +27,7 @@ from nfv_torchrl.simulator.state import (
     SERVICE,
     STEP_COST,
 )
+from nfv_torchrl.simulator.steps import Step, find_link, step_cost, step_delay
 from nfv_torchrl.simulator.view import show_request
 
 NO_FEASIBLE_ACTION = int(Reason.NO_FEASIBLE_ACTION)
@@ -41,35 +43,26 @@ def _take(walk, e, b, resource, amount):
 
 
 @part
-def _move(world, b, service, action):
+def _move(world, b, action):
     """Check a step and, if it passes, reserve for it. Returns ``PASSES`` or the reason's code."""
     tables, ledger, walk, e = world.tables, world.ledger, world.walk, world.env[b]
     _, nodes, vms = ledger.vm_offered.shape
-    place = action % 2 == 1
-    vm = (action // 2) % vms
-    node = action // (2 * vms)
+    node, vm, places = decode_action(action, vms)
     link = np.int64(-1) if node == e.node else find_link(tables, e.net, e.node, node)
-    reason = check_step(
-        tables, world.rules, ledger, b, e.net, service, e.function, e.elapsed, e.steps, link, node, vm, place
-    )
+    step = Step(link, node, vm, places)
+    reason = check_step(world, b, step)
     if reason != PASSES:
         return reason
-    cost = 0.0
-    delay = 0.0
+    cost, delay = step_cost(tables, e, step), step_delay(tables, e, step)
     if link >= 0:
-        units = tables.rate_units[service]
-        change_link(tables, ledger, world.env, world.seen.flat, b, link, units)
-        _take(walk, e, b, nodes * vms + link, units)
-        cost += tables.link_unit_cost[e.net, link] * tables.rate[service]
-        delay += tables.hop_delay[e.net, service, link]
+        units = tables.rate_units[e.service]
+        change_link(world, b, link, units)
+        _take(walk, e, b, link_resource(link, nodes, vms), units)
         e.hops += 1
-    if place:
-        units = tables.load_units[service, e.function]
-        change_vm(tables, ledger, world.env, world.seen.flat, b, node, vm, units)
-        _take(walk, e, b, node * vms + vm, units)
-        load = tables.load[service, e.function]
-        cost += tables.vm_unit_cost[e.net, node, vm] * load
-        delay += 1000.0 * load / tables.vm_speed[e.net, node, vm]
+    if places:
+        units = tables.load_units[e.service, e.function]
+        change_vm(world, b, node, vm, units)
+        _take(walk, e, b, vm_resource(node, vm, vms), units)
         e.function += 1
     walk.action[b, e.steps] = action
     e.steps += 1
@@ -148,7 +141,7 @@ def step_env(world, b, action):
     elif action < 0 or action > reject or not world.seen.mask[b, action]:
         _finish(world, b, INVALID_ACTION, action)
     else:
-        reason = _move(world, b, service, action)
+        reason = _move(world, b, action)
         if reason != PASSES:
             _finish(world, b, reason, action)
         elif e.node == e.egress and e.function == world.tables.chain_length[service]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from nfv_torchrl.codec import encode_action
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.reasons import Reason
+from nfv_torchrl.simulator.steps import Step, step_delay, step_fits, vm_delay
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
 LINK_CAPACITY = int(Reason.LINK_CAPACITY)
@@ -13,71 +15,61 @@ VM_CAPACITY = int(Reason.VM_CAPACITY)
 DELAY = int(Reason.DELAY)
 STEP_LIMIT = int(Reason.STEP_LIMIT)
 PASSES = -1
+STAY = np.int64(-1)
 
 
 @part
-def find_link(tables, net, node, neighbour):
-    for k in range(tables.degree[net, node]):
-        if tables.neighbour[net, node, k] == neighbour:
-            return np.int64(tables.neighbour_link[net, node, k])
-    return np.int64(-1)
-
-
-@part
-def check_step(tables, rules, ledger, b, net, service, function, elapsed, steps, link, node, vm, place):
-    """The step checks of Algorithm 3 in their order; link -1 is a self-hop. Returns ``PASSES`` or a reason's code."""
-    delay = 0.0
-    if link >= 0:
-        if ledger.link_offered[b, link] < tables.rate_units[service]:
-            return LINK_CAPACITY
-        delay += tables.hop_delay[net, service, link]
-    if place:
-        if ledger.vm_offered[b, node, vm] < tables.load_units[service, function]:
-            return VM_CAPACITY
-        delay += 1000.0 * tables.load[service, function] / tables.vm_speed[net, node, vm]
-    if elapsed + delay > tables.tolerable_delay[service] + DELAY_TOLERANCE:
+def check_step(world, b, step):
+    """The step checks of Algorithm 3 in their order. Returns ``PASSES`` or a reason's code."""
+    tables, e = world.tables, world.env[b]
+    link_fits, vm_fits = step_fits(world, b, step)
+    if not link_fits:
+        return LINK_CAPACITY
+    if not vm_fits:
+        return VM_CAPACITY
+    if e.elapsed + step_delay(tables, e, step) > tables.tolerable_delay[e.service] + DELAY_TOLERANCE:
         return DELAY
-    if steps + 1 > rules.max_steps:
+    if e.steps + 1 > world.rules.max_steps:
         return STEP_LIMIT
     return PASSES
 
 
 @part
-def _is_feasible(world, b, service, egress, link, node, vm, place):
+def _is_feasible(world, b, step):
     """Whether a step passes every check and leaves enough delay to reach the egress at all."""
-    tables, e = world.tables, world.env[b]
-    passes = check_step(
-        tables, world.rules, world.ledger, b, e.net, service, e.function, e.elapsed, e.steps, link, node, vm, place
-    )
-    if passes != PASSES:
+    if check_step(world, b, step) != PASSES:
         return False
-    after = e.elapsed + tables.delay_to[e.net, service, node, egress]
-    if link >= 0:
-        after += tables.hop_delay[e.net, service, link]
-    if place:
-        after += 1000.0 * tables.load[service, e.function] / tables.vm_speed[e.net, node, vm]
-    return after <= tables.tolerable_delay[service] + DELAY_TOLERANCE
+    tables, e = world.tables, world.env[b]
+    after = e.elapsed + tables.delay_to[e.net, e.service, step.node, e.egress]
+    if step.link >= 0:
+        after += tables.hop_delay[e.net, e.service, step.link]
+    if step.places:
+        after += vm_delay(tables.load[e.service, e.function], tables.vm_speed[e.net, step.node, step.vm])
+    return after <= tables.tolerable_delay[e.service] + DELAY_TOLERANCE
 
 
 @part
-def _add_moves(world, b, count, service, egress, link, node, forward, place):
-    """Append the valid actions towards ``node`` (link -1: stay). Returns the new number of valid actions."""
-    mask, valid = world.seen.mask, world.seen.valid
+def _allow(world, b, count, action):
+    """Append a valid action. Returns the new number of them."""
+    world.seen.mask[b, action] = True
+    world.seen.valid[b, count] = action
+    return count + 1
+
+
+@part
+def _add_moves(world, b, count, move, forward, place):
+    """Append the valid actions that go as ``move`` does, whatever its VM. Returns the new number of valid actions."""
+    link, node = move
     vms = world.ledger.vm_offered.shape[2]
-    first = 2 * node * vms
     feasible = world.rules.feasible_mask
     # Forwarding uses no VM: whether it is feasible is the same for every VM of the node.
     if forward and feasible:
-        forward = _is_feasible(world, b, service, egress, link, node, 0, False)
+        forward = _is_feasible(world, b, Step(link, node, 0, False))
     for vm in range(world.tables.vm_count[world.env[b].net, node]):
         if forward:
-            mask[b, first + 2 * vm] = True
-            valid[b, count] = first + 2 * vm
-            count += 1
-        if place and (not feasible or _is_feasible(world, b, service, egress, link, node, vm, True)):
-            mask[b, first + 2 * vm + 1] = True
-            valid[b, count] = first + 2 * vm + 1
-            count += 1
+            count = _allow(world, b, count, encode_action(node, vm, 0, vms))
+        if place and (not feasible or _is_feasible(world, b, Step(link, node, vm, True))):
+            count = _allow(world, b, count, encode_action(node, vm, 1, vms))
     return count
 
 
@@ -90,18 +82,16 @@ def write_mask(world, b):
         mask[b, valid[b, k]] = False
     count = 0
     if e.done == 0:
-        service = e.service
-        egress = e.egress
-        unplaced = e.function < tables.chain_length[service]
-        if e.node == egress:
-            count = _add_moves(world, b, count, service, egress, -1, egress, False, True)
+        unplaced = e.function < tables.chain_length[e.service]
+        if e.node == e.egress:
+            count = _add_moves(world, b, count, (STAY, e.node), False, True)
         else:
             for k in range(tables.degree[e.net, e.node]):
                 link = np.int64(tables.neighbour_link[e.net, e.node, k])
                 node = np.int64(tables.neighbour[e.net, e.node, k])
-                count = _add_moves(world, b, count, service, egress, link, node, True, unplaced)
+                count = _add_moves(world, b, count, (link, node), True, unplaced)
             if rules.colocation and unplaced:
-                count = _add_moves(world, b, count, service, egress, -1, e.node, False, True)
+                count = _add_moves(world, b, count, (STAY, e.node), False, True)
     if count == 0 or rules.admission_control:
         reject = mask.shape[1] - 1
         mask[b, reject] = True

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from nfv_torchrl.codec import count_vms, link_resource, split_vm, vm_resource
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.limits import Sizes, check_memory, environment_parts, table_parts, times
@@ -221,9 +222,9 @@ class Simulator:
         """Resource indices of a scenario's own sizes as indices of the batch's padded sizes."""
         own_nodes, own_vms = self.scenario(b).substrate.vm_capacity.shape
         _, nodes, vms = self.world.ledger.vm_offered.shape
-        is_link = resource >= own_nodes * own_vms
-        as_vm = resource // own_vms * vms + resource % own_vms
-        return np.where(is_link, nodes * vms + resource - own_nodes * own_vms, as_vm)
+        first_link = count_vms(own_nodes, own_vms)
+        as_vm = vm_resource(*split_vm(resource, own_vms), vms)
+        return np.where(resource >= first_link, link_resource(resource - first_link, nodes, vms), as_vm)
 
     def _widen_arrivals(self, requests: int, events: int) -> None:
         arrivals = self.world.arrivals

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nfv_torchrl.codec import count_vms, split_vm
 from nfv_torchrl.simulator.books import end_record
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.mask import write_mask
@@ -57,10 +58,10 @@ def _interrupt(world, b, resource):
 def _set_failed(world, b, resource, failed):
     """A failed resource offers nothing; a repaired one offers what is not reserved."""
     ledger, tables, e = world.ledger, world.tables, world.env[b]
-    vms = ledger.vm_offered.shape[2]
-    first_link = ledger.vm_offered.shape[1] * vms
+    _, nodes, vms = ledger.vm_offered.shape
+    first_link = count_vms(nodes, vms)
     if resource < first_link:
-        node, vm = resource // vms, resource % vms
+        node, vm = split_vm(resource, vms)
         capacity = tables.vm_capacity[e.net, node, vm]
         ledger.vm_failed[b, node, vm] = failed
         ledger.vm_offered[b, node, vm] = 0 if failed else capacity - ledger.vm_reserved[b, node, vm]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nfv_torchrl.codec import count_actions, count_vms
 from nfv_torchrl.simulator.compiled import records
 from nfv_torchrl.simulator.tables import Rules, Tables
 
@@ -92,7 +93,7 @@ class Running(NamedTuple):
     record_request: np.ndarray  # int32 [B, records]
     record_cost: np.ndarray  # float64 [B, records]
     entry_next: np.ndarray  # int32 [B, entries]
-    entry_resource: np.ndarray  # int32 [B, entries]; VM: n * V + v, link: N * V + l
+    entry_resource: np.ndarray  # int32 [B, entries], see ``codec``
     entry_amount: np.ndarray  # int64 [B, entries]
 
 
@@ -183,7 +184,7 @@ OUTCOME = (
 
 def flat_size(nodes: int, vms: int, links: int, services: int, functions: int, one_hot: bool) -> int:
     """P_i of the paper (section VI): N V + L + 5, and the one-hot features when they are on."""
-    return nodes * vms + links + 5 + (services + 2 * nodes + functions + 1 if one_hot else 0)
+    return count_vms(nodes, vms) + links + 5 + (services + 2 * nodes + functions + 1 if one_hot else 0)
 
 
 def new_world(
@@ -194,7 +195,7 @@ def new_world(
     _, nodes, vms = tables.vm_capacity.shape
     links = tables.link_capacity.shape[1]
     services, functions = tables.load.shape
-    actions = 2 * nodes * vms + 1
+    actions = count_actions(nodes, vms)
     env = records(batch, ENV_DTYPE)
     env["net"], env["horizon"], env["warmup"] = net, horizon, warmup
     return World(

@@ -13,6 +13,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.services import ServiceCatalogue
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.units import to_ledger
+from nfv_torchrl.simulator.steps import link_delay
 
 DELAY_TOLERANCE = 1e-9
 """ms by which a sum of delays may exceed the budget: the order of adding changes less, a real delay more."""
@@ -121,7 +122,7 @@ def _fill_row(tables: Tables, row: int, substrate: Substrate) -> None:
     tables.link_total[row] = tables.link_capacity[row].sum()
     _fill_neighbours(tables, row, substrate)
     for service, rate in enumerate(tables.rate):
-        hop = substrate.link_delay + 1000.0 * rate / substrate.link_capacity
+        hop = link_delay(substrate.link_delay, rate, substrate.link_capacity)
         tables.hop_delay[row, service, :links] = hop
         tables.delay_to[row, service, :n, :n] = _shortest(substrate, hop)
     tables.link_cost_to[row, :n, :n] = _shortest(substrate, substrate.link_unit_cost)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from nfv_torchrl.codec import count_vms
 from nfv_torchrl.simulator.compiled import part
 
 SHARE_LEVELS = 1000
@@ -29,7 +30,7 @@ def show_request(world, b):
     flat = world.seen.flat
     _, nodes, vms = world.ledger.vm_offered.shape
     services, functions = tables.load.shape
-    base = nodes * vms + world.ledger.link_offered.shape[1]
+    base = count_vms(nodes, vms) + world.ledger.link_offered.shape[1]
     service = e.service
     flat[b, base] = e.service_share
     flat[b, base + 1] = e.node / max(nodes - 1, 1)
