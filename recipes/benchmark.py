@@ -38,7 +38,8 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import methods_from_config
 from nfv_torchrl.evaluation.runner import scenario_for
 from nfv_torchrl.evaluation.tables import Table
-from nfv_torchrl.files import write_atomically
+from nfv_torchrl.files import read_json, write_atomically
+from nfv_torchrl.folders import claim_file
 from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import BenchmarkSettings, read_settings
@@ -46,7 +47,7 @@ from nfv_torchrl.simulator import Simulator, kernels
 from nfv_torchrl.simulator.state import REQUEST_DONE, grow_pools
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.random_policy import RandomPolicy
-from nfv_torchrl.training.setup import set_threads
+from nfv_torchrl.training.setup import quote, run_file, set_threads
 
 DIFFERENT = 4
 """Networks of a batch that are loaded each for itself; the others begin as copies and go their own ways."""
@@ -61,6 +62,9 @@ Row = dict[str, Any]
 def main(cfg: DictConfig) -> None:
     read_settings(cfg, BenchmarkSettings)
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
+    output = None if config["output"] is None else run_file(config["output"])
+    if output is not None:
+        claim_file("output", output, is_benchmark)
     set_threads(1)
     machine = describe_machine()
     print("\n".join(f"{key}: {value}" for key, value in machine.items()))
@@ -69,9 +73,17 @@ def main(cfg: DictConfig) -> None:
         title, run = PARTS[part]
         results[part] = list(tqdm(run(config), desc=part, unit="row", disable=None))
         print(f"\n{as_table(title, results[part]).text()}")
-        if config["output"] is not None:  # part by part: an interrupted benchmark has not been for nothing
+        if output is not None:  # part by part: an interrupted benchmark has not been for nothing
             text = json.dumps({"machine": machine, "config": config, "results": results}, indent=1)
-            write_atomically(config["output"], text + "\n")
+            write_atomically(output, text + "\n")
+
+
+def is_benchmark(path: Path) -> bool:
+    """Whether a file is an output of this recipe, and so may be replaced."""
+    try:
+        return {"machine", "config", "results"} <= read_json(path).keys()
+    except ScenarioError:
+        return False
 
 
 def describe_machine() -> dict[str, Any]:
@@ -254,7 +266,7 @@ def run_training(config: dict[str, Any]) -> Iterator[Row]:
             scenario = make_scenario(config, nodes, 0)
             arguments = [
                 f"scenario={choice}", f"scenario.substrate.nodes={nodes}",
-                f"scenario.arrival_rate={scenario.arrival_rate}", f"run_dir={folder}/run",
+                f"scenario.arrival_rate={scenario.arrival_rate}", f"run_dir={quote(Path(folder) / 'run')}",
                 f"collector.total_frames={config['training']['frames']}",
                 "logger.interval=5", "eval.interval=0", "checkpoint.interval=1000000", *config["training"]["overrides"],
             ]  # fmt: skip

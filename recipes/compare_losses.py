@@ -28,10 +28,12 @@ from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.pool import compute
 from nfv_torchrl.files import write_atomically
+from nfv_torchrl.folders import claim
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import CompareLossesSettings, read_settings
 from nfv_torchrl.settings.values import list_of_seeds
 from nfv_torchrl.training.cli import recipe
+from nfv_torchrl.training.setup import run_folder
 
 FLOOR = "random_feasible"
 """What every loss has to beat."""
@@ -44,7 +46,7 @@ def main(cfg: DictConfig) -> None:
     config["eval_seeds"] = list_of_seeds("eval_seeds", config["eval_seeds"])
     losses = chosen_losses(config)
     scenario = Scenario.from_config(config["scenario"])
-    store = CellStore(config["output"], Path(__file__).parent)
+    store = CellStore(run_folder(config["output"], "output"), Path(__file__).parent)
 
     trained = {name: [training_cell(config, name, seed) for seed in range(config["seeds"])] for name in losses}
     workloads = list(range(config["workloads"]))
@@ -54,6 +56,7 @@ def main(cfg: DictConfig) -> None:
         "eval_seeds": evaluation_cell(config, FLOOR, config["eval_seeds"]),
     }
     cells = [*floor.values(), *(cell for runs in tested.values() for cell in runs)]
+    claim("output", store.folder, "cells")
     failures = compute(cells, store, jobs=config["jobs"], report=print_progress)
 
     tested = {name: runs for name, runs in tested.items() if all(store.has(cell) for cell in runs)}

@@ -34,7 +34,7 @@ from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.policies import load_weights, q_network
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
-from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 
@@ -51,6 +51,7 @@ def main(cfg: DictConfig) -> None:
     if cfg.networks is not None:
         source = instantiate(config["networks"])(config["scenario"])
         worlds = source.scenarios(cfg.seed, cfg.collector.num_envs)
+    folder = RunFolder(config, worlds)
 
     # Loss first: it makes the network, whose observations the environment has to emit.
     sizes = Sizes.of(Simulator(worlds, len(worlds), one_hot=cfg.one_hot))
@@ -59,8 +60,6 @@ def main(cfg: DictConfig) -> None:
         raise ScenarioError("networks: substrates of several sizes need a network that fits any; set network=candidate")
     if cfg.init_from and not cfg.resume:
         load_weights(q_network(loss), cfg.init_from)
-    # After all that may be refused: making the folder sets an older run aside.
-    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
     env = NFVEnv(
         worlds,
         cfg.collector.num_envs,
@@ -124,6 +123,7 @@ def main(cfg: DictConfig) -> None:
         storing_device="cpu",
         auto_register_policy_transforms=False,
     )
+    folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
     bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)

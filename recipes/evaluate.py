@@ -29,12 +29,13 @@ from nfv_torchrl.evaluation.methods import Method, methods_from_config
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import render, write_summary
+from nfv_torchrl.folders import claim
 from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvaluateSettings, read_settings
 from nfv_torchrl.settings.values import list_of_seeds
 from nfv_torchrl.training.cli import recipe
-from nfv_torchrl.training.setup import set_threads
+from nfv_torchrl.training.setup import run_folder, set_threads
 
 
 @recipe("evaluate")
@@ -104,15 +105,15 @@ def choose_reference(name: str | None, methods: Sequence[Method]) -> str:
 def output_folder(output: str | None, methods: Sequence[Method], seeds: Sequence[int]) -> Iterator[Path]:
     """``output``, or a temporary folder: what is not kept is audited all the same.
 
-    An earlier evaluation in ``output`` is replaced, but not mixed with this one.
+    An earlier evaluation in ``output`` is replaced, but not mixed with this one. Jobs of a sweep have folders of their
+    own below it.
     """
     if output is None:
         with tempfile.TemporaryDirectory(prefix="evaluation_") as temporary:
             yield Path(temporary)
         return
-    folder = Path(output)
-    if folder.exists() and not folder.is_dir():
-        raise ScenarioError(f"output: {folder} is a file; name a folder")
+    folder = run_folder(output, "output")
+    claim("output", folder, "evaluation")
     mine = {folder / method.name / f"seed_{seed}" for method in methods for seed in seeds}
     others = [str(run.relative_to(folder)) for run in find_runs(folder) if run not in mine]
     if others:

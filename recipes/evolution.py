@@ -32,9 +32,9 @@ from nfv_torchrl.settings.recipes import EvolutionSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
-from nfv_torchrl.training.policies import load_weights, policy_content, save_policy
+from nfv_torchrl.training.policies import load_weights, policy_content
 from nfv_torchrl.training.run import Progress, RunFolder
-from nfv_torchrl.training.setup import StopRequest, run_folder, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, seed_everything, set_threads
 
 
 @recipe("evolution")
@@ -44,7 +44,7 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
-    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
+    folder = RunFolder(config, [scenario])
 
     # What evolves, from where, and what it is measured by.
     sizes = Sizes.of(Simulator(scenario, 1))
@@ -59,6 +59,7 @@ def main(cfg: DictConfig) -> None:
     progress = Progress()
     state = {"strategy": strategy, "progress": progress, "rng": GlobalRNGState()}
     folder.load(state)
+    folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/fitness", "eval/aar_gain", "eval/paired_cost"))
     bar = tqdm(total=cfg.generations, initial=strategy.generation, unit="generation", disable=None)
@@ -75,9 +76,7 @@ def main(cfg: DictConfig) -> None:
             progress.best_fitness, progress.best_aar = values["fitness"], values["aar"]
             progress.best_frames = progress.frames
             parts = {**config, "loss": config["policy"]}
-            save_policy(
-                folder.path / "best.pt", policy_content(centre, sizes, parts, centre.settings(scenario), values)
-            )
+            folder.save_best(policy_content(centre, sizes, parts, centre.settings(scenario), values))
 
     with StopRequest() as stop:
         while strategy.generation < cfg.generations and not stop.asked:

@@ -25,9 +25,11 @@ from nfv_torchrl.experiments.cells import Cell, CellStore, with_needs
 from nfv_torchrl.experiments.drawing import Experiment
 from nfv_torchrl.experiments.pool import compute
 from nfv_torchrl.experiments.study import Study
+from nfv_torchrl.folders import claim
 from nfv_torchrl.settings.recipes import FiguresSettings, read_settings
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.setup import run_folder
 
 
 @recipe("figures")
@@ -35,7 +37,7 @@ def main(cfg: DictConfig) -> None:
     read_settings(cfg, FiguresSettings)
     config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
     recipes = Path(__file__).parent
-    study, store = Study(config, recipes), CellStore(cfg.output, recipes)
+    study, store = Study(config, recipes), CellStore(run_folder(config["output"], "output"), recipes)
     figures = chosen(config["figure"])
     failures = compute_all(figures, study, store, cfg.jobs)
     draw_all(figures, study, store, failures)
@@ -47,6 +49,7 @@ def main(cfg: DictConfig) -> None:
 def compute_all(figures: Mapping[str, Experiment], study: Study, store: CellStore, jobs: int) -> dict[str, str]:
     """Compute what the store lacks, under a progress bar; returns what failed."""
     cells = with_needs(cell for figure in figures.values() for cell in figure.cells(study))
+    claim("output", store.folder, "cells")
     lacking = [cell for cell in cells if not store.has(cell)]
     training = sum(cell.kind == "training" for cell in lacking)
     print(f"{len(cells)} cells, {len(cells) - len(lacking)} of them there already, {training} training runs to do.")

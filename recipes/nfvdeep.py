@@ -29,7 +29,7 @@ from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
-from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 
@@ -41,7 +41,7 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
-    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.checkpoint.keep)
+    folder = RunFolder(config, [scenario])
 
     # The planner says what the policy sees and chooses from, and turns its choices into plans.
     planner = instantiate(cfg.planner)
@@ -92,6 +92,7 @@ def main(cfg: DictConfig) -> None:
         storing_device="cpu",
         auto_register_policy_transforms=False,
     )
+    folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
     bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)

@@ -36,7 +36,7 @@ from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.recording import Dataset
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
-from nfv_torchrl.training.setup import StopRequest, choose_device, run_folder, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 ORIGIN = ("scenario", "method", "checkpoint", "reward", "one_hot", "stagger", "record")
@@ -61,7 +61,8 @@ def main(cfg: DictConfig) -> None:
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
     loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
 
-    # A dataset that does not fit is refused before the run's folder is made.
+    # A dataset that does not fit is refused, as all else, before the run's folder is taken.
+    folder = RunFolder(config, [scenario])
     env = NFVEnv(
         scenario,
         cfg.record.num_envs,
@@ -73,27 +74,9 @@ def main(cfg: DictConfig) -> None:
     )
     recording = {"origin": {key: config[key] for key in ORIGIN}, "env": env}
     recording |= {"frames": cfg.record.frames, "steps": cfg.record.steps}
-    given = Dataset(cfg.dataset, **recording) if cfg.dataset else None
+    given = Dataset(cfg.dataset, **recording, apart_from=folder.path) if cfg.dataset else None
     if given and given.complete:
         given.check()
-    folder = RunFolder(run_folder(cfg.run_dir), config, resume=cfg.resume, keep=cfg.saving.keep)
-    dataset = given or Dataset(folder.path / "dataset", **recording)
-    if not dataset.complete:
-        with tqdm(total=cfg.record.frames, desc=f"record {method.name}", unit="frame", unit_scale=True) as bar:
-            dataset.record(method, bar.update)
-
-    # Everything that was recorded, in memory, as the loss wants it.
-    recorded = TrainingWindow(tuple(kind.name for kind in scenario.catalogue.types), scenario.warmup)
-    transitions = []
-    for part in dataset.parts():
-        recorded.add(part)
-        transitions.append(loss.prepare(part).clone())
-    size = sum(len(part) for part in transitions)
-    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(size, device=device), batch_size=cfg.learner.batch_size)
-    buffer.extend(torch.cat(transitions))
-    del transitions
-    print(f"{size:,} transitions of {method.name} in {dataset.folder}, AAR {recorded.metrics()['train/aar']:.3f}")
-
     updater = instantiate(cfg.target)(loss) if has_target(loss) else None
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 
@@ -118,6 +101,24 @@ def main(cfg: DictConfig) -> None:
     if updater is not None:
         state["updater"] = updater
     folder.load(state)
+    folder.open()  # an older run there is set aside
+    dataset = given or Dataset(folder.path / "dataset", **recording)
+    if not dataset.complete:
+        with tqdm(total=cfg.record.frames, desc=f"record {method.name}", unit="frame", unit_scale=True) as bar:
+            dataset.record(method, bar.update)
+
+    # Everything that was recorded, in memory, as the loss wants it.
+    recorded = TrainingWindow(tuple(kind.name for kind in scenario.catalogue.types), scenario.warmup)
+    transitions = []
+    for part in dataset.parts():
+        recorded.add(part)
+        transitions.append(loss.prepare(part).clone())
+    size = sum(len(part) for part in transitions)
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(size, device=device), batch_size=cfg.learner.batch_size)
+    buffer.extend(torch.cat(transitions))
+    del transitions
+    print(f"{size:,} transitions of {method.name} in {dataset.folder}, AAR {recorded.metrics()['train/aar']:.3f}")
+
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted"))
     bar = tqdm(total=cfg.learner.updates, initial=progress.updates, unit="update", unit_scale=True)

@@ -13,7 +13,6 @@ Writes to ``output``: ``transfer.md``, ``transfer.csv`` and ``cells``.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -30,9 +29,11 @@ from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.pool import compute
 from nfv_torchrl.experiments.rows import paired_cost, values
 from nfv_torchrl.files import write_atomically
+from nfv_torchrl.folders import claim
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import TransferSettings, read_settings
 from nfv_torchrl.training.cli import recipe, recipe_configs
+from nfv_torchrl.training.setup import run_folder
 
 POLICY = "checkpoint"
 
@@ -43,11 +44,12 @@ def main(cfg: DictConfig) -> None:
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
     if config["checkpoint"] is None or not Path(config["checkpoint"]).is_file():
         raise ScenarioError(f"checkpoint: {config['checkpoint']} is no file; name one, such as runs/candidate/best.pt")
-    store = CellStore(config["output"], Path(__file__).parent)
+    store = CellStore(run_folder(config["output"], "output"), Path(__file__).parent)
     worlds = {label: read_scenario(label, overrides) for label, overrides in rows_wanted(config).items()}
     cells = {name: evaluations(config, name, world) for name, world in worlds.items()}
     bounds = {name: bound(config, name, world) for name, world in worlds.items() if config["bounds"]}
     wanted = [*(cell for found in cells.values() for cell in found.values()), *bounds.values()]
+    claim("output", store.folder, "cells")
     failures = compute(wanted, store, jobs=config["jobs"], report=print_progress)
 
     there = [name for name, found in cells.items() if all(map(store.has, found.values()))]
@@ -99,13 +101,12 @@ def read_scenario(name: str, overrides: Sequence[str]) -> dict[str, Any]:
 
 def evaluations(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) -> dict[str, Cell]:
     """Every method on one network, the policy last."""
-    made = {}
-    for key, method in config["method"].items():
-        spec = {"scenario": world, "method": method, "training": None, **seeds_of(config)}
-        if key == POLICY:  # another policy in the same file is another cell
-            spec["policy"] = hashlib.sha256(Path(config["checkpoint"]).read_bytes()).hexdigest()
-        made[key] = make_cell("evaluation", f"{name}-{key}", spec)
-    return made
+    return {
+        key: make_cell(
+            "evaluation", f"{name}-{key}", {"scenario": world, "method": method, "training": None, **seeds_of(config)}
+        )
+        for key, method in config["method"].items()
+    }
 
 
 def bound(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) -> Cell:

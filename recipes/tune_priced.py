@@ -13,7 +13,6 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,12 +25,16 @@ from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.files import write_atomically
+from nfv_torchrl.folders import claim_file
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import TunePricedSettings, read_settings
 from nfv_torchrl.training.cli import recipe
+from nfv_torchrl.training.setup import run_file
 
 FIRST_SEED = 2000
+COLUMNS = "price,steepness,threshold,gain,"
+"""What an output of this recipe begins with."""
 Setting = tuple[float, float, float | None]
 """Price p, steepness M, refusal threshold (None: never)."""
 
@@ -40,7 +43,10 @@ Setting = tuple[float, float, float | None]
 def main(cfg: DictConfig) -> None:
     read_settings(cfg, TunePricedSettings)
     config: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)
+    output = None if config["output"] is None else run_file(config["output"])
     worlds = scenarios(config)
+    if output is not None:
+        claim_file("output", output, lambda path: path.read_text("utf-8", "replace").startswith(COLUMNS))
     settings: list[Setting] = list(itertools.product(config["prices"], config["steepness"], config["thresholds"]))
     work = [(setting, worlds, config["seeds"]) for setting in [None, *settings]]
     with multiprocessing.get_context("spawn").Pool(cfg.jobs) as pool:
@@ -49,8 +55,8 @@ def main(cfg: DictConfig) -> None:
     rows = [row(setting, answer, myopic) for setting, answer in zip(settings, priced, strict=True)]
     rows.sort(key=lambda row: (-row["gain"], row["cost"]))
     show(rows, config, myopic)
-    if config["output"] is not None:
-        write_atomically(Path(config["output"]), csv_text(rows))
+    if output is not None:
+        write_atomically(output, csv_text(rows))
 
 
 def scenarios(config: dict[str, Any]) -> list[list[Scenario]]:

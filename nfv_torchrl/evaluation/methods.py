@@ -6,7 +6,7 @@ A method of your own is any class with the attributes of :class:`Method`; in a r
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -25,6 +25,9 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel
+
+TABLES = ("summary.csv", "per_seed.csv")
+"""Files beside the folders that are called after methods."""
 
 
 class Method(Protocol):
@@ -244,6 +247,18 @@ def _take(seen: Mapping[str, Any], key: str | tuple[str, ...]) -> torch.Tensor:
     return nested.get(key[1:])
 
 
+def _check_name(key: str, name: Any, others: Iterable[str]) -> None:
+    """A method's name is that of a folder, too, on any file system."""
+    usable = isinstance(name, str) and name.isprintable() and name.strip() == name and len(name.encode()) <= 100
+    if not usable or not name or name[0] == "." or any(letter in name for letter in "/\\:"):
+        raise ScenarioError(
+            f"method.{key}.name: {name!r} names no folder of its own; use letters and digits, no slash, no dot in front"
+        )
+    alike = [other for other in (*others, *TABLES) if other != name and other.casefold() == name.casefold()]
+    if alike or name in TABLES:
+        raise ScenarioError(f"method.{key}.name: {name!r} and {(alike or TABLES)[0]!r} are one file; use another name")
+
+
 def methods_from_config(config: Mapping[str, Any], scenario: Scenario | Sequence[Scenario]) -> list[Method]:
     """Build the methods of a recipe's ``method`` group, in order.
 
@@ -265,6 +280,7 @@ def methods_from_config(config: Mapping[str, Any], scenario: Scenario | Sequence
         lacking = [name for name in (*Method.__annotations__, "prepare", "act") if not hasattr(method, name)]
         if lacking:
             raise ScenarioError(f"method.{key}: {type(method).__name__} lacks {lacking[0]!r}; see evaluation.Method")
+        _check_name(key, method.name, methods)
         if method.name in methods:
             raise ScenarioError(f"method.{key}: another method is called {method.name!r} too; set method.{key}.name")
         methods[method.name] = method

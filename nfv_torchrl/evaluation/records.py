@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.folders import RUN_FILES
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.files import scenario_to_json
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
 from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
 
-RUN_FILES = ("scenario.json", "substrate.json", "workload.csv", "decisions.jsonl", "metrics.json")
 FORWARD = -1
 """Function index of a step that places nothing."""
 REJECT, NO_ACTION = -1, -2

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,9 @@ from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import read_json, write_atomically
+from nfv_torchrl.inputs import file_digests
+
+LONGEST_LABEL = 80
 
 
 @dataclass(frozen=True)
@@ -40,14 +44,21 @@ class Cell:
     @property
     def key(self) -> str:
         """The same for the same kind and content, whoever asks."""
-        return f"{self.label}-{hashlib.sha256(f'{self.kind} {self.content}'.encode()).hexdigest()[:12]}"
+        # The label becomes a file's name, and on command lines the name of a config.
+        label = re.sub(r"[^A-Za-z0-9_]+", "_", self.label)[:LONGEST_LABEL]
+        return f"{label}-{hashlib.sha256(f'{self.kind} {self.content}'.encode()).hexdigest()[:12]}"
 
 
 def make_cell(
     kind: str, label: str, spec: Mapping[str, Any], needs: Iterable[Cell] = (), *, alone: bool = False
 ) -> Cell:
-    """A cell of the plain values in ``spec``; its mappings keep their order, since that of the services is a draw's."""
-    return Cell(kind, label, json.dumps(spec, allow_nan=False), tuple(needs), alone)
+    """A cell of the plain values in ``spec``; its mappings keep their order, since that of the services is a draw's.
+
+    The content of files that ``spec`` names is part of it: after a change to one the cell is another.
+    """
+    files = file_digests(spec)
+    content = {**spec, "files": files} if files else spec
+    return Cell(kind, label, json.dumps(content, allow_nan=False), tuple(needs), alone)
 
 
 def with_needs(cells: Iterable[Cell]) -> list[Cell]:

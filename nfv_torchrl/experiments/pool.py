@@ -27,13 +27,17 @@ KILLED = "its process was killed (too little memory?); start again to go on, wit
 def compute(cells: Iterable[Cell], store: CellStore, *, jobs: int, report: Report | None = None) -> dict[str, str]:
     """Compute the ``cells`` that the store lacks, and what they need, in ``jobs`` processes.
 
-    A cell that fails takes those that need it with it; the others go on. An interruption (Ctrl-C) lets what is at work
-    end, or training save, and starts nothing more.
+    A cell that fails takes those that need it with it; the others go on. An interruption (Ctrl-C, SIGTERM, SIGUSR1)
+    lets what is at work end, or training save, and starts nothing more.
 
     Returns:
         What went wrong, by the key of the cell.
     """
-    lacking = [cell for cell in with_needs(cells) if not store.has(cell)]
+    wanted = with_needs(cells)
+    lacking = [cell for cell in wanted if not store.has(cell)]
+    for cell in wanted:  # a worker may have been killed before it did
+        if cell.kind == "training" and cell not in lacking:
+            training.drop_checkpoints(cell, store)
     failures: dict[str, str] = {}
     together = [cell for cell in lacking if not cell.alone]
     _compute(sorted(together, key=_urgency), store, jobs, failures, report)
@@ -68,6 +72,8 @@ def _compute(waiting: list[Cell], store: CellStore, jobs: int, failures: dict[st
             failures |= {cell.key: KILLED for cell in [*waiting, *atwork.values()]}
         except KeyboardInterrupt:
             print("\nStopping: what is at work ends, training saves; start again to go on.", flush=True)
+            for worker in multiprocessing.active_children():
+                worker.terminate()  # they let it end, see _start_worker
             pool.shutdown(wait=True, cancel_futures=True)
             raise
 
@@ -92,6 +98,8 @@ def _start_worker() -> None:
     """One thread for tensor operations; the main process alone answers Ctrl-C; nobody outlives it."""
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, lambda *_: None)  # unlike SIG_IGN not inherited by recipes, which save and stop
+    for number in (signal.SIGTERM, signal.SIGUSR1):
+        signal.signal(number, training.stop)
     threading.Thread(target=_leave_with, args=(os.getppid(),), daemon=True).start()
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -13,11 +15,17 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.files import write_atomically
+from nfv_torchrl.folders import at_work
 from nfv_torchrl.training.checkpoint import CheckpointFolder
+from nfv_torchrl.training.setup import quote
 
 CURVES = ("aar", "anuc", "cost_per_accepted", "mean_hops")
 running: subprocess.Popen[bytes] | None = None
 """The recipe that this process waits for."""
+stopping = False
+"""Whether this process was told to end."""
+LONGEST_SAVING = 60.0
+"""Seconds that a recipe may take to save and end."""
 
 
 class TrainingStopped(RuntimeError):
@@ -41,12 +49,13 @@ def train(cell: Cell, store: CellStore) -> dict[str, Any]:
     # The whole scenario is a file of the recipe's own config group; a preset may change some of it.
     configs = store.folder / "configs"
     write_atomically(configs / "scenario" / f"{cell.key}.yaml", OmegaConf.to_yaml(spec["scenario"]))
+    _wait_for(folder)
     command = [
         sys.executable,
         str(store.recipes / spec["recipe"]),
         f"--config-dir={configs.resolve()}",
         f"scenario={cell.key}",
-        f"run_dir={folder}",
+        f"run_dir={quote(folder)}",
         f"resume={'true' if CheckpointFolder(folder).files() else 'false'}",
         *spec["overrides"],
     ]
@@ -54,20 +63,44 @@ def train(cell: Cell, store: CellStore) -> dict[str, Any]:
     policy = folder / spec["policy"]
     if not policy.exists():
         raise TrainingStopped(f"{folder} has no {spec['policy']}; see {folder.with_suffix('.log')}")
-    result = {"run": folder.name, "policy": policy.name, **read_curves(folder)}
-    # They serve to go on, and with their replay memories dozens of runs would fill a disk.
-    for checkpoint in CheckpointFolder(folder).files():
+    return {"run": folder.name, "policy": policy.name, **read_curves(folder)}
+
+
+def drop_checkpoints(cell: Cell, store: CellStore) -> None:
+    """Remove the checkpoints of a training whose result is kept.
+
+    They serve to go on, and with their replay memories dozens of runs would fill a disk.
+    """
+    for checkpoint in CheckpointFolder(run_folder(cell, store)).files():
         checkpoint.unlink()
-    return result
+
+
+def stop(number: int, frame: FrameType | None) -> None:
+    """For a worker's signals: the recipe that it waits for saves and ends, and it starts no other."""
+    global stopping
+    stopping = True
+    if running is not None:
+        running.terminate()
+
+
+def _wait_for(folder: Path) -> None:
+    """A recipe that outlived its killed worker saves and ends; that takes moments."""
+    end = time.monotonic() + LONGEST_SAVING
+    while at_work(folder) and time.monotonic() < end:
+        time.sleep(0.5)
 
 
 def _run(command: list[str], log: Path) -> None:
     global running
+    if stopping:
+        raise TrainingStopped("training did not begin; start again to go on")
     log.parent.mkdir(parents=True, exist_ok=True)
     one_thread = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with log.open("ab") as output:
         begin = output.tell()
         running = subprocess.Popen(command, stdout=output, stderr=output, env={**os.environ, **one_thread})
+        if stopping:  # the signal came just before there was something to stop
+            running.terminate()
         code = running.wait()
         running = None
     printed = log.read_bytes()[begin:].decode(errors="replace")

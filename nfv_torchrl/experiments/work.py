@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.audit import audit_run
 from nfv_torchrl.evaluation.methods import Method, methods_from_config
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import RunRecord, write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.experiments.cells import Cell, CellStore
-from nfv_torchrl.experiments.training import run_folder, train
+from nfv_torchrl.experiments.training import drop_checkpoints, run_folder, train
+from nfv_torchrl.inputs import file_digests
 from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
 from nfv_torchrl.rewards import cost_scale
 from nfv_torchrl.scenario.scenario import Scenario
@@ -28,8 +30,19 @@ Result = dict[str, Any]
 
 
 def work(cell: Cell, store: CellStore) -> None:
-    """Compute a cell whose needs are there, and keep its result."""
-    store.write(cell, WORK[cell.kind](cell, store))
+    """Compute a cell whose needs are there, and keep its result.
+
+    Raises:
+        ScenarioError: a file that it depends on was changed meanwhile.
+    """
+    result = WORK[cell.kind](cell, store)
+    spec = cell.spec
+    before = spec.pop("files", {})
+    if changed := [key for key, digest in file_digests(spec).items() if before.get(key) != digest]:
+        raise ScenarioError(f"{', '.join(changed)}: the file was changed during the work; start again")
+    store.write(cell, result)
+    if cell.kind == "training":
+        drop_checkpoints(cell, store)
 
 
 def evaluate(cell: Cell, store: CellStore) -> Result:

@@ -9,9 +9,12 @@ import functools
 import inspect
 import os
 import re
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn, ParamSpec, TypeVar
 
 import hydra
@@ -23,11 +26,14 @@ from omegaconf.errors import OmegaConfBaseException
 
 from nfv_torchrl.cli import recipes_folder
 from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError
+from nfv_torchrl.locks import locks_of_command
 from nfv_torchrl.training.overrides import explain
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+"""Signals that ask a command to end: Ctrl-C, and what clusters send before they kill."""
 EXPECTED = (ScenarioError, CheckpointError, AuditError)
 """Errors whose message names the culprit and the remedy: a traceback would only bury it."""
 FULL_ERROR = "HYDRA_FULL_ERROR"
@@ -89,15 +95,22 @@ def clear_errors(main: Callable[P, R]) -> Callable[P, R]:
     """Decorate a command's ``main``: an expected error prints ``error: ...`` to stderr and exits with code 2.
 
     Those are the errors of this package, also where ``hydra.utils.instantiate`` wraps them, and what the machine does
-    not grant: files, room on a disk, memory. Anything else keeps its traceback.
+    not grant: files, room on a disk, memory. Anything else keeps its traceback. Locks that ``main`` took
+    are given back. A signal that ends it (Ctrl-C, SIGTERM, SIGUSR1) lets it clean up first; the exit code then is 128 +
+    the number of the signal.
     """
 
     @functools.wraps(main)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
         plain_output()
         try:
-            with _full_error(False):  # processes started from here decide for themselves
+            # Processes started from here decide for themselves about tracebacks.
+            with _full_error(False), locks_of_command(), _signals_interrupt():
                 return main(*args, **kwargs)
+        except KeyboardInterrupt as stop:
+            number = stop.args[0] if stop.args else signal.SIGINT
+            print(f"\nStopped by {signal.Signals(number).name}.", file=sys.stderr)
+            raise SystemExit(128 + number) from None
         except (Exception, MemoryError) as error:
             text = expected(error)
             if text is None:
@@ -105,6 +118,24 @@ def clear_errors(main: Callable[P, R]) -> Callable[P, R]:
             _leave(text)
 
     return guarded
+
+
+@contextlib.contextmanager
+def _signals_interrupt() -> Iterator[None]:
+    """What ends a process raises ``KeyboardInterrupt`` instead, with the signal's number."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt(number)
+
+    before = {number: signal.signal(number, interrupt) for number in STOPS if number != signal.SIGINT}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def expected(error: BaseException) -> str | None:

@@ -20,6 +20,7 @@ from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import Method
 from nfv_torchrl.files import read_json, write_atomically
+from nfv_torchrl.folders import check_place, claim, refuse_foreign
 from nfv_torchrl.training.recorded import Form, check_part, flat_keys, read_array
 
 MANIFEST = "dataset.json"
@@ -59,13 +60,26 @@ class Dataset:
         env: records, and says which keys, shapes and ranges there have to be.
         frames: steps in all, at least.
         steps: T, of each environment in a part.
+        apart_from: folder of the run that reads it, if the user named the dataset: it must not be moved with the run.
+            None: it is that run's own.
 
     Raises:
         ScenarioError: the folder holds something else, a recording of another origin, or one without a key.
     """
 
-    def __init__(self, folder: str | Path, origin: Mapping[str, Any], env: NFVEnv, *, frames: int, steps: int) -> None:
-        self.folder = Path(folder)
+    def __init__(
+        self,
+        folder: str | Path,
+        origin: Mapping[str, Any],
+        env: NFVEnv,
+        *,
+        frames: int,
+        steps: int,
+        apart_from: Path | None = None,
+    ) -> None:
+        self.folder, self._own = Path(folder), apart_from is None
+        if apart_from is not None and check_place("dataset", folder).resolve().is_relative_to(apart_from.resolve()):
+            raise ScenarioError(f"dataset: {folder} is in run_dir; leave it null, or name a folder of its own")
         self.origin = json.loads(json.dumps(origin))
         self.env = env
         self.batch = (env.batch_size[0], steps)
@@ -78,6 +92,8 @@ class Dataset:
             self._check_folder()
             if self.complete:
                 self._check_manifest()
+            elif not self._own:
+                refuse_foreign("dataset", self.folder, "dataset")
 
     @property
     def complete(self) -> bool:
@@ -89,8 +105,9 @@ class Dataset:
 
         Raises:
             ScenarioError: the method took an action outside the mask, from which nothing can be learned, or the
-                folder cannot be written.
+                folder cannot be written, or another command records there.
         """
+        lock = None if self._own else claim("dataset", self.folder, "dataset")
         policy, frames = MethodPolicy(method, self.env), self.batch[0] * self.batch[1]
         collector = Collector(self.env, policy, frames_per_batch=frames, total_frames=-1)
         with self._usable():
@@ -107,6 +124,8 @@ class Dataset:
             manifest = {"format": FORMAT, "parts": self.num_parts, "arrays": about, "origin": self.origin}
             write_atomically(self.folder / MANIFEST, json.dumps(manifest, indent=2))
         collector.shutdown(close_env=False)
+        if lock is not None:  # others may read it now
+            lock.release()
 
     def parts(self) -> Iterator[TensorDict]:
         """The parts in the order of time, [B, T], read from the files as they are used and checked before.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -13,12 +15,15 @@ from omegaconf import OmegaConf
 from torch import nn
 
 from nfv_torchrl import __version__
-from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.errors import CheckpointError, ScenarioError
 from nfv_torchrl.evaluation.methods import Method
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.network_figure import draw_utilisation
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.files import write_atomically
+from nfv_torchrl.folders import claim, contents, holds_runs, lock_folder, refuse_foreign, remove_leftovers, set_aside
+from nfv_torchrl.inputs import file_digests, world_digests
+from nfv_torchrl.locks import Lock
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.values import list_of_seeds
@@ -27,10 +32,14 @@ from nfv_torchrl.training.checking import check_parts, load_part
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import policy_content, q_network, save_policy
-from nfv_torchrl.training.setup import set_aside
+from nfv_torchrl.training.setup import quote, run_folder
 
-MAY_CHANGE = ("resume", "run_dir", "device", "logger", "checkpoint", "generations")
-"""Config keys that a resumed run may set anew; so may ``collector.total_frames``."""
+MAY_CHANGE = (
+    "resume", "run_dir", "device", "logger", "checkpoint.interval", "checkpoint.keep", "saving", "generations",
+    "collector.total_frames",
+)  # fmt: skip
+"""Config keys that a resumed run may set anew."""
+_NOT_PLAIN = r"[^\w./+-]"
 
 
 @dataclass
@@ -73,39 +82,91 @@ class Progress:
 class RunFolder:
     """The folder of a run: ``config.yaml``, ``checkpoint_*.pt``, ``best.pt`` and TensorBoard's event files.
 
+    Making it checks it; nothing on disk moves before :meth:`open`, which comes after all that may be refused. While the
+    run lives it holds a lock on the folder.
+
     Args:
-        path: the folder.
-        config: the resolved config of the run.
-        resume: go on in it; otherwise an older run there is renamed.
-        keep: how many checkpoints stay.
+        config: the resolved config of the run; ``run_dir``, ``resume`` and how many checkpoints to keep are in it.
+        scenarios: what the run trains on; a resumed run has to build the same.
 
     Raises:
-        CheckpointError: nothing to resume, or the config is not the one the run was started with.
+        ScenarioError: the folder is in use, or not one that a run may take.
+        CheckpointError: nothing to resume.
     """
 
-    def __init__(self, path: Path, config: dict[str, Any], *, resume: bool, keep: int) -> None:
-        self.path = path
+    def __init__(self, config: dict[str, Any], scenarios: Iterable[Scenario]) -> None:
+        self.path = path = run_folder(config["run_dir"])
         self.config = config
-        self.resume = resume
-        self.checkpoints = CheckpointFolder(path, keep)
-        if resume:
-            if not self.checkpoints.files():
-                raise CheckpointError(f"{path} holds no checkpoint to resume from; start without resume=true")
+        self.resume: bool = config["resume"]
+        self.inputs = file_digests(config) | world_digests(scenarios)
+        saving = config["saving"] if "saving" in config else config["checkpoint"]
+        self.checkpoints = CheckpointFolder(path, saving["keep"])
+        refuse_foreign("run_dir", path, "run")
+        if self.resume and not self.checkpoints.files():
+            raise CheckpointError(f"{path} holds no checkpoint to resume from; start without resume=true")
+        self._lock = self._lock_older() if contents(path) else None
+
+    def open(self) -> None:
+        """Take the folder: a resumed run's is cleaned of what a kill left in it, otherwise an older run is renamed."""
+        if self.resume:
+            remove_leftovers(self.path)
             return
-        older = set_aside(path)
-        if older is not None:
-            print(f"An older run was at {path}; it is now at {older}.")
-        write_atomically(path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(config)))
+        older_lock = self._lock
+        if contents(self.path):
+            older_lock = older_lock or self._lock_older()
+            try:
+                older = set_aside(self.path)
+            except OSError as error:
+                raise ScenarioError(f"run_dir: {self.path} cannot be renamed ({error.strerror})") from error
+            print(f"An older run was at {self.path}; it is now at {self.path.with_name(older.name)}.")
+        self._lock = claim("run_dir", self.path, "run")
+        if older_lock is not None:
+            older_lock.release()
+        write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(self.config)))
+
+    def _lock_older(self) -> Lock:
+        lock = lock_folder("run_dir", self.path, "run")
+        inner = None if self.resume else holds_runs(self.path)
+        if inner is not None:
+            lock.release()
+            raise ScenarioError(f"run_dir: {self.path} holds {inner}, which would be renamed, too; name another folder")
+        return lock
 
     def save(self, state: Mapping[str, Any], frames: int) -> None:
-        """Write a checkpoint of every part of ``state``."""
+        """Write a checkpoint of every part of ``state``.
+
+        Raises:
+            CheckpointError: the folder is no longer this run's.
+        """
+        self._check_in_place()
         content = {name: _plain(part.state_dict()) for name, part in state.items()}
         content["config"] = self.config
+        content["inputs"] = self.inputs
         content["versions"] = {"nfv_torchrl": __version__, "torch": str(torch.__version__)}
         self.checkpoints.save(frames, content)
 
+    def save_best(self, content: Mapping[str, Any]) -> None:
+        """Write ``best.pt``.
+
+        Raises:
+            CheckpointError: the folder is no longer this run's.
+        """
+        self._check_in_place()
+        save_policy(self.path / "best.pt", content)
+
+    def _check_in_place(self) -> None:
+        if self._lock is not None and not self._lock.in_place():
+            raise CheckpointError(
+                f"{self.path} was moved or replaced while its run was at work, so nothing more is written there; go "
+                "on from its last checkpoint with run_dir=WHERE_IT_IS resume=true"
+            )
+
     def load(self, state: Mapping[str, Any]) -> None:
-        """When resuming, bring every part of ``state`` to the newest whole checkpoint."""
+        """When resuming, bring every part of ``state`` to the newest whole checkpoint.
+
+        Raises:
+            CheckpointError: the config, or the content of an input file, is not what the run was started with.
+        """
         if not self.resume:
             return
         path, content = self.checkpoints.load_newest()
@@ -118,11 +179,21 @@ class RunFolder:
                 f"{path} was written with another config ({', '.join(changed)} differ); resume with the settings of "
                 f"{self.path / 'config.yaml'}, or start a new run in another run_dir"
             )
+        self._check_inputs(path, content.get("inputs", {}))
         check_parts(path, content, state)
         for name, part in state.items():
             load_part(path, name, part, content[name])
         self._random_numbers = content["rng"]
         print(f"Resumed from {path}.")
+
+    def _check_inputs(self, path: Path, before: Mapping[str, str]) -> None:
+        # What was not there then or is gone now is not compared: a policy that a run began with is read only once.
+        changed = [key for key, digest in self.inputs.items() if before.get(key, digest) != digest]
+        if changed:
+            raise CheckpointError(
+                f"{path} was written with other inputs (the content of {', '.join(changed)} differs); give back what "
+                "the run was started with, or start a new run in another run_dir"
+            )
 
     def load_random_numbers(self, state: Mapping[str, Any]) -> None:
         """When resuming, set the random numbers of ``state["rng"]`` once more, as the last step before the loop."""
@@ -132,7 +203,8 @@ class RunFolder:
     def print_ending(self, *, interrupted: bool) -> None:
         """Say where things are and how to go on."""
         if interrupted:
-            print(f"\nStopped and saved. Go on with the same command and: run_dir={self.path} resume=true")
+            where = shlex.quote(f"run_dir={quote(self.path) if re.search(_NOT_PLAIN, str(self.path)) else self.path}")
+            print(f"\nStopped and saved. Go on with the same command and: {where} resume=true")
         best = self.path / "best.pt"
         if best.exists():
             print(f"Best policy: {best}")
@@ -172,7 +244,7 @@ def evaluate_policy(
     if (aar, -cost) > (progress.best_aar, -progress.best_cost):
         progress.best_aar, progress.best_cost, progress.best_frames = aar, cost, progress.frames
         content = policy_content(loss, sizes, config, scenario, {"aar": aar, "cost_per_accepted": cost})
-        save_policy(folder.path / "best.pt", content)
+        folder.save_best(content)
 
 
 def _plain(value: Any) -> Any:
@@ -191,7 +263,7 @@ def _differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "
     changed = set()
     for key in {*old, *new}:
         name = f"{prefix}{key}"
-        if name in MAY_CHANGE or name == "collector.total_frames":
+        if name in MAY_CHANGE:
             continue
         a, b = old.get(key), new.get(key)
         if isinstance(a, Mapping) and isinstance(b, Mapping):

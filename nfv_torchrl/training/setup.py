@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import random
+import re
 import signal
-import zlib
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,6 +16,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.folders import check_place
+from nfv_torchrl.training.cli import STOPS
 
 
 def choose_device(name: str) -> torch.device:
@@ -47,47 +51,74 @@ def set_threads(threads: int) -> None:
 
 
 LONGEST_NAME = 120
+_PLAIN = re.compile(r"([A-Za-z0-9.]+(?:_[A-Za-z0-9.]+)*)=([A-Za-z0-9.-]+(?:_[A-Za-z0-9.-]+)*)")
+_OF_EVERY_JOB = ("run_dir=", "output=", "resume=")
 
 
-def run_folder(run_dir: str | Path) -> Path:
-    """The folder of this run: ``run_dir``, or in a sweep a folder of the job's own below it.
+def run_folder(value: Any, key: str = "run_dir") -> Path:
+    """The folder that the setting ``key`` names, or in a sweep a folder of the job's own below it.
 
-    A job is named after its overrides in their order, ``runs/sweep/loss=dqn,seed=1``, so that the same command with
-    ``resume=true`` finds it again; where that gets too long, the end is replaced by a number that stands for it.
+    A job is named after its overrides in their order, ``runs/sweep/loss-n_step__seed-1``, so that the same command with
+    ``resume=true`` finds it again, and so that it can be typed.
+
+    Raises:
+        ScenarioError: no command may own such a folder.
+    """
+    path = check_place(key, value)
+    job = job_name()
+    return path / job if job else path
+
+
+def run_file(value: Any, key: str = "output") -> Path:
+    """The same for a file: in a sweep ``runs/table-seed-1.csv`` instead of ``runs/table.csv``."""
+    path = check_place(key, value)
+    job = job_name()
+    return path.with_name(f"{path.stem}-{job}{path.suffix}") if job else path
+
+
+def job_name() -> str:
+    """What tells this job of a sweep from the others, different for different overrides; empty without a sweep.
+
+    Values with other characters than letters, digits, ``.``, ``_`` and ``-``, and long names, end in a number that
+    stands for all of it.
     """
     if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
-        return Path(run_dir)
-    given = [text for text in HydraConfig.get().overrides.task if not text.startswith(("run_dir=", "resume="))]
-    name = ",".join(given).replace("/", "_") or "job"
-    if len(name) > LONGEST_NAME:
-        name = f"{name[: LONGEST_NAME - 9]}_{zlib.crc32(name.encode()):08x}"
-    return Path(run_dir) / name
+        return ""
+    given = [text for text in HydraConfig.get().overrides.task if not text.startswith(_OF_EVERY_JOB)]
+    plain = [_PLAIN.fullmatch(text) for text in given]
+    name = "__".join(re.sub(r"[^A-Za-z0-9.-]+", "_", text.replace("=", "-", 1)).strip("_") for text in given) or "job"
+    if all(plain) and len(name) <= LONGEST_NAME:
+        return name
+    digest = hashlib.sha256("\0".join(given).encode()).hexdigest()[:12]
+    return f"{name[: LONGEST_NAME - 14].rstrip('_')}__{digest}"
 
 
-def set_aside(folder: Path) -> Path | None:
-    """Rename an older run at ``folder`` to the first free of ``folder.1``, ``folder.2``, ...; returns its new name."""
-    if not folder.exists() or not any(folder.iterdir()):
-        return None
-    number = 1
-    while (older := folder.with_name(f"{folder.name}.{number}")).exists():
-        number += 1
-    return folder.rename(older)
+def quote(value: str | Path) -> str:
+    """``value`` as Hydra's command line takes it, whatever is in it: blanks, commas, ``=``, quotes, letters."""
+    text = re.sub(r"(\\*)\$\{", r"\1\1\\${", str(value))
+    text = re.sub(r"(\\*)'", r"\1\1\'", text)
+    tail = len(text) - len(text.rstrip("\\"))
+    return f"'{text}{text[len(text) - tail :]}'"
 
 
 class StopRequest:
-    """Ctrl-C asks for an orderly stop after the current iteration; a second one stops at once."""
+    """Ctrl-C, SIGTERM or SIGUSR1 asks for an orderly stop after the current iteration.
+
+    A second Ctrl-C stops at once; the other two may come as often as a cluster sends them.
+    """
 
     def __init__(self) -> None:
         self.asked = False
 
     def __enter__(self) -> StopRequest:
-        self._before = signal.signal(signal.SIGINT, self._ask)
+        self._before = {number: signal.signal(number, self._ask) for number in STOPS}
         return self
 
     def __exit__(self, *error: object) -> None:
-        signal.signal(signal.SIGINT, self._before)
+        for number, before in self._before.items():
+            signal.signal(number, before)
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
+        if self.asked and number == signal.SIGINT:
             raise KeyboardInterrupt
         self.asked = True

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from importlib.util import find_spec
 from types import SimpleNamespace
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
+from hypothesis import given
+from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from tiny import ROOT, TINY_SCENARIO, TINY_TRAINING, run
 
@@ -22,7 +26,7 @@ def test_a_sweep_trains_each_job_in_its_own_folder(tmp_path):
     done = run("dqn.py", "-m", "loss=dqn,n_step", *launcher, *arguments, f"run_dir={sweep}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     jobs = sorted(path.name for path in sweep.iterdir() if path.is_dir())
-    assert [name.split(",")[0] for name in jobs] == ["loss=dqn", "loss=n_step"]
+    assert [name.split("__")[0] for name in jobs] == ["loss-dqn", "loss-n_step"]
     for name, target in zip(jobs, ("DQN", "NStepDQN"), strict=True):
         config = OmegaConf.load(sweep / name / "config.yaml")
         assert config.loss._target_.endswith(f".{target}")
@@ -35,17 +39,54 @@ def hydra_says(monkeypatch, mode, overrides):
     monkeypatch.setattr(setup, "HydraConfig", SimpleNamespace(initialized=lambda: True, get=lambda: state))
 
 
+def names(monkeypatch, *overrides):
+    hydra_says(monkeypatch, RunMode.MULTIRUN, list(overrides))
+    return setup.run_folder("runs/s").name
+
+
 def test_names_of_jobs(monkeypatch):
-    given = ["loss=dqn", "seed=1", "scenario.substrate.path=a/b.json", "run_dir=x", "resume=true"]
-    hydra_says(monkeypatch, RunMode.MULTIRUN, given)
-    assert str(setup.run_folder("runs/s")) == "runs/s/loss=dqn,seed=1,scenario.substrate.path=a_b.json"
-    hydra_says(monkeypatch, RunMode.RUN, given)
-    assert str(setup.run_folder("runs/s")) == "runs/s"
-    names = set()
-    for seed in (1, 2):
-        hydra_says(monkeypatch, RunMode.MULTIRUN, ["loss=dqn", *(f"key_{k}={k}" for k in range(40)), f"seed={seed}"])
-        names.add(setup.run_folder("runs").name)
-    assert len(names) == 2 and all(name.startswith("loss=dqn,") and len(name) <= 120 for name in names)
+    of_all = ("run_dir=x", "output=y", "resume=true")
+    assert names(monkeypatch, "loss=n_step", "seed=1", *of_all) == "loss-n_step__seed-1"
+    assert setup.run_file("runs/table.csv").as_posix() == "runs/table-loss-n_step__seed-1.csv"
+    hydra_says(monkeypatch, RunMode.RUN, ["seed=1"])
+    assert str(setup.run_folder("runs/s")) == "runs/s" and str(setup.run_file("runs/a.csv")) == "runs/a.csv"
+
+
+JOBS = [
+    ["seed=1"],
+    ["seed=2"],
+    ["loss=n", "step_seed=1"],
+    ["loss=n_step", "seed=1"],
+    ["loss=n__step", "seed=1"],
+    ["loss=n_step__seed-1"],
+    ["scenario.substrate.path=a/b.json"],
+    ["scenario.substrate.path=a_b.json"],
+    ["network.hidden=[1,2]"],
+    ["network.hidden=[12]"],
+    ["network.hidden=1_2"],
+    ["+a=1"],
+    ["a=1"],
+    ["a=-1"],
+    ["a='1'"],
+    ["a=größe, x=y"],
+    [*(f"key_{k}={k}" for k in range(40)), "seed=1"],
+    [*(f"key_{k}={k}" for k in range(40)), "seed=2"],
+]
+
+
+def test_names_of_jobs_differ_and_can_be_typed(monkeypatch):
+    found = [names(monkeypatch, *job) for job in JOBS]
+    assert len(set(found)) == len(JOBS)
+    parser = OverridesParser.create()
+    for name in found:
+        assert re.fullmatch(r"[\w.-]{1,120}", name, re.ASCII)
+        assert parser.parse_override(f"run_dir=runs/s/{name}").value() == f"runs/s/{name}"
+
+
+@given(st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1) | st.text("'\\\\${}\"=, [x", min_size=1))
+def test_quoted_values_come_through_hydra(text):
+    value = OverridesParser.create().parse_override(f"run_dir={setup.quote(text)}").value()
+    assert OmegaConf.create({"run_dir": value}).run_dir == text
 
 
 @pytest.mark.parametrize("name", ["ray_local", "ray_cluster"])
