@@ -194,7 +194,7 @@ def test_a_dataset_is_no_users_folder(tmp_path, capsys):
     thesis.mkdir()
     (thesis / "chapter1.tex").write_text("x")
     before = tree(tmp_path)
-    for dataset, words in ((thesis, "none of ours"), ("~/x", "shell"), (run / "data", "leave it null")):
+    for dataset, words in ((thesis, "holds chapter1.tex"), ("~/x", "shell"), (run / "data", "leave it null")):
         assert words in refused(capsys, "offline", *OFFLINE, f"run_dir={run}", f"dataset='{dataset}'")
     shared = tmp_path / "shared"
     lock = claim("dataset", shared, "dataset")
