@@ -57,7 +57,10 @@ class FileNumbers:
             self._warn_of_gaps(key, origins.get(key, DRAWN))
         unused = [f"{name} ({owner}s)" for owner in ("link", "node") for name in self._unused(owner)]
         if unused:
-            taken = ", ".join(f"{key} {origins.get(key, DRAWN)}" for key in lacking)
+            by_origin: dict[str, list[str]] = {}
+            for key in lacking:
+                by_origin.setdefault(origins.get(key, DRAWN), []).append(key)
+            taken = ", ".join(f"{', '.join(keys)} {origin}" for origin, keys in by_origin.items())
             self.say(
                 f"numbers of the file that are not used: {', '.join(unused)}; instead: "
                 f"{taken or 'others of the file'}; scenario.substrate.attributes says what a name means"

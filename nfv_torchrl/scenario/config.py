@@ -39,7 +39,7 @@ class SubstrateConfig:
     """
 
     path: str | None = None
-    attributes: dict[str, Any] = field(default_factory=dict)
+    attributes: dict[str, Any] | None = None
     directed: str = "pairs"
     generator: dict[str, Any] | None = None
     nodes: int = 10

@@ -11,8 +11,10 @@ import networkx as nx
 import numpy as np
 import pytest
 import toy
+from hydra import compose, initialize_config_dir
 from hypothesis import given
 from hypothesis import strategies as st
+from omegaconf import OmegaConf
 from test_substrate import assert_same
 
 from nfv_torchrl.errors import ScenarioError, ScenarioWarning
@@ -161,6 +163,19 @@ def test_a_scenario_maps_names(tmp_path):
     assert Scenario.from_config(config).substrate.link_capacity.tolist() == [7.0, 8.0]
 
 
+def test_a_command_line_maps_names(tmp_path):
+    path = network(tmp_path, {"bw": 7}, {"bw": 8})
+    overrides = [
+        f"scenario.substrate.path={path}",
+        "scenario.substrate.attributes={capacity:{name:bw,unit:Gbit/s}}",
+        "scenario.substrate.directed=merge",
+        "scenario.pairs_per_service=2",
+    ]
+    with initialize_config_dir(str(Path(__file__).parents[2] / "recipes" / "config"), version_base=None):
+        config = OmegaConf.to_container(compose("evaluate", overrides), resolve=True)
+    assert Scenario.from_config(config["scenario"]).substrate.link_capacity.tolist() == [7000.0, 8000.0]
+
+
 @pytest.mark.parametrize(
     ("attributes", "message"),
     [
@@ -195,7 +210,7 @@ def test_numbers_that_are_not_used_are_named_once(tmp_path):
     links = ({"bw": 10, "lag": "3", "kind": "fibre"}, {"bw": 20})
     (message,) = all_warnings(network(tmp_path, *links, nodes=({"cpu": 4}, {}, {})))
     assert "numbers of the file that are not used: bw (links), lag (links), cpu (nodes)" in message
-    assert "instead: capacity drawn with the scenario seed, delay drawn" in message
+    assert "instead: capacity, delay, unit_cost, vm_capacity, vm_unit_cost drawn with the scenario seed" in message
     assert "kind" not in message
 
 
