@@ -14,6 +14,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.quoting import one_line
 
 NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
+YED_LABEL = "http://www.yworks.com/xml/graphml NodeLabel"
 MAX_DEPTH = 50
 """Elements within elements; a link's data is 4 deep, yEd's drawings some 10."""
 MAX_ENTRIES = 1_500_000
@@ -142,7 +143,12 @@ def _data(element: Element, keys: dict[str, _Key], source: str) -> dict[str, Any
         name = _attribute(data, "key", source)
         if name not in keys:
             raise _invalid(source, f"line {_line(data)}: key {name!r} is not declared by any <key>")
-        values[keys[name].name] = _text(data)
+        if len(data) == 0:
+            values[keys[name].name] = _text(data)
+            continue
+        # A drawing of yEd, which is no value but may hold the label; networkx takes that, too.
+        for drawn in data.iter(YED_LABEL):
+            values.setdefault("label", _text(drawn))
     return {name: value for name, value in values.items() if value is not None}
 
 

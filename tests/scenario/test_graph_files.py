@@ -62,6 +62,13 @@ def test_graphml_parallel_edges_with_one_id_stay_apart(tmp_path):
     assert file.ends == [(0, 1), (0, 1)]
 
 
+def test_graphml_of_yed_has_its_labels_in_drawings(tmp_path):
+    drawing = '<y:ShapeNode xmlns:y="http://www.yworks.com/xml/graphml"><y:Fill/><y:NodeLabel> 5\n<x/></y:NodeLabel>'
+    inside = f'<node id="n0"><data key="d6">{drawing}</y:ShapeNode></data></node><node id="n1"/>'
+    file = read(tmp_path, graph(inside, '<key id="d6" for="node" yfiles.type="nodegraphics"/>'), "n.graphml")
+    assert file.nodes == [{"label": "5"}, {}]
+
+
 def test_graphml_of_networkx_is_read(tmp_path):
     graph = nx.relabel_nodes(nx.cycle_graph(4), {node: f"n{node}" for node in range(4)})
     nx.set_edge_attributes(graph, 10.5, "capacity")
@@ -235,6 +242,10 @@ def test_only_regular_files_are_read(suffix, tmp_path):
     path = tmp_path / f"n.{suffix}"
     os.mkfifo(path)
     with pytest.raises(ScenarioError, match="it is a pipe or device; give a regular file"):
+        read_graph_file(path)
+    path.unlink()
+    path.symlink_to("/proc/self/status")
+    with pytest.raises(ScenarioError, match="its size changes"):
         read_graph_file(path)
     path.unlink()
     path.symlink_to("/dev/zero")
