@@ -10,7 +10,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureModel
 from nfv_torchrl.scenario.names import check_name
 from nfv_torchrl.scenario.services import PAPER_VNFS, ServiceType, paper_catalogue
-from nfv_torchrl.settings.values import parse_dataclass
+from nfv_torchrl.settings.values import parse_dataclass, shown
 
 Range = tuple[float, float]
 
@@ -57,8 +57,8 @@ class SubstrateConfig:
     target_rho: float | None = None
 
     def __post_init__(self) -> None:
-        if self.target_rho is not None and self.target_rho <= 0:
-            raise ScenarioError(f"substrate.target_rho: {self.target_rho}; use a positive number, or null")
+        if self.target_rho is not None and not 1e-6 <= self.target_rho <= 1e6:
+            raise ScenarioError(f"substrate.target_rho: {self.target_rho}; use a positive number up to 1e6, or null")
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def _services(config: Any) -> dict[str, ServiceType]:
     elif isinstance(config, Sequence) and not isinstance(config, str):
         entries = [(service.get("name", "") if isinstance(service, Mapping) else "", service) for service in config]
     else:
-        raise ScenarioError(f"{where}: is {config!r}; a mapping or list of services was expected")
+        raise ScenarioError(f"{where}: is {shown(config)}; a mapping or list of services was expected")
     services: dict[str, ServiceType] = {}
     for name, entry in entries:
         service = _service(name, entry, where)
@@ -149,7 +149,7 @@ def _service(name: Any, entry: Any, where: str) -> ServiceType:
         return entry
     check_name(name, where)
     if not isinstance(entry, Mapping):
-        raise ScenarioError(f"{where}.{name}: is {entry!r}; give chain, rate, tolerable_delay and weight")
+        raise ScenarioError(f"{where}.{name}: is {shown(entry)}; give chain, rate, tolerable_delay and weight")
     if name in _paper_services() and {*entry} <= {*ServiceType.__dataclass_fields__} and "chain" not in entry:
         raise ScenarioError(
             f"{where}.{name}.chain: is missing; a service of your own has chain, rate and tolerable_delay, and to "

@@ -9,8 +9,9 @@ import numpy as np
 
 from nfv_torchrl.codec import count_vms, link_resource, split_vm, vm_resource
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.limits import MAX_SLOTS
 from nfv_torchrl.scenario.substrate import Substrate
-from nfv_torchrl.settings.values import parse
+from nfv_torchrl.settings.values import parse, shown
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,44 @@ class FailureTimeline:
         slot: int64 [E].
         resource: int64 [E]; numbered as in ``nfv_torchrl.codec``, with V the substrate's ``max_vms``.
         up: bool [E]; True is a repair, False a failure.
+
+    Raises:
+        ScenarioError: columns of other kinds or lengths, or events out of order.
     """
 
     slot: np.ndarray
     resource: np.ndarray
     up: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name, kinds, kind in (("slot", "iu", np.int64), ("resource", "iu", np.int64), ("up", "b", np.bool_)):
+            column = np.asarray(getattr(self, name))
+            if column.ndim != 1 or column.shape != np.shape(self.slot) or column.dtype.kind not in kinds:
+                raise ScenarioError(
+                    f"failure timeline: {name} is {column.dtype} {list(column.shape)}; use {kind.__name__} [E]"
+                )
+            object.__setattr__(self, name, column.astype(kind, copy=False))
+        # Twice the slot, plus one for a failure: repairs come first within a slot.
+        if len(self) and (self.slot[0] < 0 or np.any(np.diff(2 * self.slot + ~self.up) < 0)):
+            raise ScenarioError("failure timeline: is out of order; sort by slot from 0, repairs before failures")
+
+    def check_fits(self, substrate: Substrate) -> None:
+        """Refuse events that the substrate cannot have.
+
+        Raises:
+            ScenarioError: a resource that is not there, a failure of what has failed, a repair of what works.
+        """
+        exists = np.arange(substrate.max_vms) < substrate.vm_count[:, None]
+        there = np.r_[exists.ravel(), np.ones(substrate.num_links, bool)]
+        if not len(self):
+            return
+        if self.resource.min() < 0 or self.resource.max() >= len(there) or not there[self.resource].all():
+            raise ScenarioError("failure timeline: names a VM or link that the substrate does not have; draw it anew")
+        order = np.argsort(self.resource, kind="stable")
+        place, resource = np.arange(len(order)), self.resource[order]
+        first = np.maximum.accumulate(np.where(np.diff(resource, prepend=-1) != 0, place, 0))
+        if np.any(self.up[order] != ((place - first) % 2 == 1)):
+            raise ScenarioError("failure timeline: fails what has failed or repairs what works; draw it anew")
 
     def __len__(self) -> int:
         return len(self.slot)
@@ -124,9 +158,9 @@ def _parse_event(event: Any, indices: dict[tuple[str, int, int], int], where: st
     if isinstance(event, dict) and event.get("event") in ("repair", "failure") and type(event.get("slot")) is int:
         for kind in ("vm", "link"):
             match event.get(kind):
-                case [int(first), int(second)] if event["slot"] >= 0 and (kind, first, second) in indices:
+                case [int(first), int(second)] if 0 <= event["slot"] <= MAX_SLOTS and (kind, first, second) in indices:
                     return event["slot"], event["event"] == "repair", indices[kind, first, second]
-    raise ScenarioError(f"{where}: {event!r} is no repair or failure of a VM or link of the substrate")
+    raise ScenarioError(f"{where}: {shown(event)} is no repair or failure of a VM or link of the substrate")
 
 
 def sample_timeline(

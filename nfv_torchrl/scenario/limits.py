@@ -16,6 +16,7 @@ from nfv_torchrl.errors import ScenarioError
 SHARE = 0.5
 MAX_NODES = 2**15 - 1
 MAX_VMS = 1000
+"""VM slots of a node; more would need tables of more than 0.2 GB for 10,000 nodes."""
 MAX_SLOTS = 2**31 - 2
 MAX_REQUESTS = 10**9
 MAX_STEPS = 10**8

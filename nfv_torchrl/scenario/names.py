@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.settings.values import shown
 
 LONGEST_NAME = 100
 
@@ -21,7 +22,7 @@ def check_name(name: Any, where: str) -> None:
     """
     if not isinstance(name, str):
         hint = " (YAML reads bare no, off, yes and on so)" if isinstance(name, bool) else ""
-        raise ScenarioError(f"{where}: {name!r} is no name{hint}; a name is text, put it in quotes")
+        raise ScenarioError(f"{where}: {shown(name)} is no name{hint}; a name is text, put it in quotes")
     if not name.strip():
         raise ScenarioError(f"{where}: {name!r} is an empty name; give it one")
     if name != name.strip():

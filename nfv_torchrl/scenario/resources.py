@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.limits import MAX_VMS
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
+from nfv_torchrl.settings.values import refuse
 
 Range = tuple[float, float]
 
@@ -40,7 +41,7 @@ class ResourceRanges:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            low, high = getattr(self, field.name)
+            low, high = _two_numbers(getattr(self, field.name), field.name)
             self._check(field.name, low, high)
         low, high = self.vms
         if low < 1 or int(low) != low or int(high) != high:
@@ -49,7 +50,7 @@ class ResourceRanges:
             raise ScenarioError(f"vms_min, vms_max: [{low}, {high}]; use at most {MAX_VMS} VMs a node")
 
     def _check(self, name: str, low: float, high: float) -> None:
-        hint = f"{'vms_min, vms_max' if name == 'vms' else name}: [{low}, {high}]"
+        hint = f"{'vms_min, vms_max' if name == 'vms' else name}: [{low:g}, {high:g}]"
         if not (np.isfinite(low) and np.isfinite(high)):
             raise ScenarioError(f"{hint} is not finite; give two numbers [low, high]")
         if low > high:
@@ -59,6 +60,17 @@ class ResourceRanges:
             raise ScenarioError(f"{hint} must be positive; raise the lower bound")
         if high > MAX_CAPACITY:
             raise ScenarioError(f"{hint} exceeds {MAX_CAPACITY:g}; lower the upper bound")
+
+
+def _two_numbers(pair: Any, name: str) -> tuple[float, float]:
+    """The bounds of the interval ``name``."""
+    numbers = isinstance(pair, tuple | list | np.ndarray) and len(pair) == 2
+    if not numbers or any(isinstance(value, bool | str) or not np.isscalar(value) for value in pair):
+        refuse(name, pair, "two numbers [low, high]")
+    try:
+        return float(pair[0]), float(pair[1])
+    except (TypeError, OverflowError):
+        refuse(name, pair, "two numbers [low, high]")
 
 
 class VmDraw(NamedTuple):

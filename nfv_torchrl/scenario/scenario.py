@@ -33,8 +33,12 @@ from nfv_torchrl.settings.values import parse, refuse, shown
 
 ENDPOINTS = ("catalogue", "uniform")
 MASKS = ("adjacency", "feasible")
-INTEGERS = ("horizon", "warmup", "max_steps")
-SWITCHES = ("colocation", "admission_control", "observe_lifetime")
+KINDS: dict[str, Any] = {
+    **dict.fromkeys(("name", "endpoints", "mask"), str),
+    **dict.fromkeys(("horizon", "warmup", "max_steps"), int),
+    **dict.fromkeys(("colocation", "admission_control", "observe_lifetime"), bool),
+    "workload_path": str | None,
+}
 SHORTEST_MEAN, LONGEST_MEAN = 1e-6, 1e12
 """s; mean lifetimes beyond make sums of delays and loads lose digits or overflow."""
 TARGET_RHO_TOLERANCE = 1e-6
@@ -90,15 +94,17 @@ class Scenario:
         self._check_numbers()
         for key, known in (("endpoints", ENDPOINTS), ("mask", MASKS)):
             if getattr(self, key) not in known:
-                raise ScenarioError(f"{key}: {getattr(self, key)!r} is unknown; use one of {list(known)}")
+                raise ScenarioError(f"{key}: {shown(getattr(self, key))} is unknown; use one of {list(known)}")
         self._check_pairs()
         self._check_size()
 
     def _check_kinds(self) -> None:
         """Values come from Python too, where no parser has seen them; numbers become Python's own, for JSON."""
-        for keys, kind in ((("name", "endpoints", "mask"), str), (INTEGERS, int), (SWITCHES, bool)):
-            for key in keys:
-                object.__setattr__(self, key, parse(getattr(self, key), kind, key))
+        for key, part in (("substrate", Substrate), ("catalogue", ServiceCatalogue), ("failures", FailureModel)):
+            if not isinstance(getattr(self, key), part):
+                refuse(key, getattr(self, key), f"a {part.__name__}")
+        for key, hint in KINDS.items():
+            object.__setattr__(self, key, parse(getattr(self, key), hint, key))
         for key in ("arrival_rate", "mean_lifetime"):
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):

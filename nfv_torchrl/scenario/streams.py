@@ -7,6 +7,7 @@ from enum import IntEnum
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.settings.values import shown
 
 
 class Stream(IntEnum):
@@ -34,7 +35,7 @@ def check_seed(seed: object) -> None:
         ScenarioError: it is not.
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= int(seed) <= LARGEST_SEED:
-        raise ScenarioError(f"seed: {seed!r} is not a seed; use an integer >= 0, and of 63 bits at most")
+        raise ScenarioError(f"seed: {shown(seed)} is not a seed; use an integer >= 0, and of 63 bits at most")
 
 
 def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:

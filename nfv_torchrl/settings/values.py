@@ -296,10 +296,12 @@ def _parse_sequence(value: Any, hint: Any, where: str, expected: str) -> tuple[A
 
 
 def _parse_number(value: Any, hint: Any, where: str, expected: str) -> int | float:
+    if isinstance(value, np.generic):
+        value = value.item()  # a float32 would overflow in the comparison
     # A comparison, because math.isfinite chokes on integers beyond a float's range.
     if (
         isinstance(value, bool)
-        or not isinstance(value, int | float | np.integer | np.floating)
+        or not isinstance(value, int | float)
         or not -1e300 < value < 1e300
     ):
         refuse(where, value, expected)

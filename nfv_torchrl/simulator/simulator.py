@@ -199,6 +199,8 @@ class Simulator:
         """Write the requests and failures of environment b's horizon without starting it."""
         scenario = self.scenario(b)
         workload.check_fits(len(scenario.catalogue.types), scenario.substrate.num_nodes, scenario.horizon)
+        if timeline is not None:
+            timeline.check_fits(scenario.substrate)
         requests = len(workload.slot)
         events = 0 if timeline is None else len(timeline.slot)
         self._widen_arrivals(requests, events)

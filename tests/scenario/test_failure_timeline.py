@@ -13,6 +13,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline, sample_timeline
 from nfv_torchrl.scenario.random_graph import draw_random_substrate
 from nfv_torchrl.scenario.scenario import paper_scenario
+from nfv_torchrl.simulator import Simulator
 
 probability = st.sampled_from([0.0, 0.05, 0.3, 0.9, 1.0])
 models = st.builds(FailureModel, probability, probability, probability)
@@ -118,6 +119,7 @@ def test_events_by_hand():
         ([{"slot": 1, "event": "failure"}], "entry 0: .* is no repair or failure"),
         ([{"slot": 1, "event": "explosion", "vm": [0, 0]}], "is no repair or failure"),
         ([{"slot": -1, "event": "failure", "vm": [0, 0]}], "is no repair or failure"),
+        ([{"slot": 10**30, "event": "failure", "vm": [0, 0]}], "is no repair or failure"),
         ([{"slot": 1, "event": "failure", "vm": [0, 1]}], "is no repair or failure"),
         ([{"slot": 1, "event": "failure", "link": [0, 3]}], "is no repair or failure"),
         ([{"slot": 1, "event": "repair", "vm": [0, 0]}], "it works already"),
@@ -135,3 +137,43 @@ def test_refuses_events(events, message):
 def test_refuses_what_is_no_probability(key, value):
     with pytest.raises(ScenarioError, match=f"failures.{key}"):
         FailureModel(**{key: value})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"slot": [2, 1]}, "out of order"),
+        ({"slot": [-1, 1]}, "out of order"),
+        ({"slot": [1, 1], "up": [False, True]}, "repairs before failures"),
+        ({"slot": [1.5, 2.0]}, "slot is float64"),
+        ({"up": [0, 1]}, "up is int64"),
+        ({"resource": [3]}, r"resource is int64 \[1\]; use int64 \[E\]"),
+        ({"slot": 3}, r"slot is int64 \[\]"),
+    ],
+)
+def test_refuses_columns_from_python(changes, message):
+    columns = {"slot": [1, 2], "resource": [3, 3], "up": [False, True]}
+    with pytest.raises(ScenarioError, match=message):
+        FailureTimeline(**{name: np.array(column) for name, column in {**columns, **changes}.items()})
+
+
+@pytest.mark.parametrize(
+    ("events", "message"),
+    [
+        ([(1, 1, False)], "does not have"),  # node 0 has one VM
+        ([(1, 13, False)], "does not have"),  # 8 places of VMs, 5 links
+        ([(1, -1, False)], "does not have"),
+        ([(1, 3, True)], "repairs what works"),
+        ([(1, 3, False), (2, 8, False), (3, 3, False)], "fails what has failed"),
+    ],
+)
+def test_a_simulator_refuses_the_timeline_of_another_network(events, message):
+    """Before the compiled kernels, which would index past their arrays."""
+    simulator = Simulator(toy.toy_scenario(), 1)
+    with pytest.raises(ScenarioError, match=message):
+        simulator.start(0, toy.toy_workload(), toy.timeline_of(*events))
+
+
+@given(model=models, substrate=substrates(), seed=st.integers(0, 1000))
+def test_what_is_drawn_fits(model, substrate, seed):
+    draw(model, substrate, 40, seed).check_fits(substrate)

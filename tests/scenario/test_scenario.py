@@ -123,11 +123,33 @@ def test_the_scenario_seed_draws_another_network_and_the_same_arrivals():
         ({"endpoint_pairs": np.zeros((1, 2, 2), int)}, r"shape \[1, 2, 2\]; \[2, P, 2\] was expected"),
         ({"endpoint_pairs": np.array([[[0, 4]], [[1, 2]]])}, "must lie in 0 .. 3"),
         ({"endpoint_pairs": np.array([[[0, 0]], [[1, 2]]])}, "they must differ"),
+        ({"endpoint_pairs": np.array([[[0.5, 1]], [[1, 2]]])}, "endpoint_pairs: are float64; nodes are integers"),
+        ({"seed": 10**400}, "seed: .* is not a seed"),
+        ({"horizon": "6"}, "horizon: '6' where an integer"),
+        ({"horizon": 2.5}, "horizon: 2.5 where an integer"),
+        ({"horizon": 10**400}, "horizon: 10+[.]{3} where an integer"),
+        ({"max_steps": True}, "max_steps: True where an integer"),
+        ({"arrival_rate": None}, "arrival_rate: None where a number"),
+        ({"arrival_rate": 10**400}, "arrival_rate: 10+[.]{3}; .* multiple of 0.5"),
+        ({"arrival_rate": 0.25}, "arrival_rate: 0.25; .* multiple of 0.5"),
+        ({"mean_lifetime": 1e-300}, "mean_lifetime: 1e-300 s; use a positive number, from 1e-06"),
+        ({"mean_lifetime": 1e300}, "mean_lifetime: 1e[+]300 s; .* to 1e[+]12"),
+        ({"colocation": "no"}, "colocation: 'no' where true or false"),
+        ({"mask": False}, "mask: False where text"),
+        ({"name": None}, "name: None where text"),
+        ({"workload_path": 3}, "workload_path: 3 where text"),
+        ({"substrate": "abilene"}, "substrate: 'abilene' where a Substrate"),
+        ({"failures": {"p_repair": 1}}, "failures: .* where a FailureModel"),
     ],
 )
 def test_refuses(changes, message):
     with pytest.raises(ScenarioError, match=message):
         toy.toy_scenario(**changes)
+
+
+def test_numbers_of_numpy_become_pythons_own():
+    scenario = toy.toy_scenario(horizon=np.int64(6), max_steps=np.int32(9))
+    assert (type(scenario.horizon), type(scenario.max_steps)) == (int, int)
 
 
 def test_reading_a_file_that_was_not_given():
