@@ -33,6 +33,7 @@ from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.policies import load_weights, q_network
+from nfv_torchrl.training.room import check_buffer, check_compiler, check_environments
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
@@ -46,6 +47,7 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
+    check_environments(scenario, cfg.collector.num_envs, cfg.collector.steps)
     # Where environments live: on the scenario's network, or each on one of its own.
     worlds = [scenario]
     if cfg.networks is not None:
@@ -60,6 +62,9 @@ def main(cfg: DictConfig) -> None:
         raise ScenarioError("networks: substrates of several sizes need a network that fits any; set network=candidate")
     if cfg.init_from and not cfg.resume:
         load_weights(q_network(loss), cfg.init_from)
+    check_buffer(loss, worlds[0], one_hot=cfg.one_hot, size=cfg.buffer.size, steps=cfg.collector.steps)
+    if cfg.learner.compile:
+        check_compiler(device)
     env = NFVEnv(
         worlds,
         cfg.collector.num_envs,

@@ -28,6 +28,7 @@ from nfv_torchrl.settings.recipes import NFVdeepSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.room import check_environments
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
@@ -41,6 +42,7 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
+    check_environments(scenario, cfg.collector.num_envs, cfg.collector.steps)
     folder = RunFolder(config, [scenario])
 
     # The planner says what the policy sees and chooses from, and turns its choices into plans.

@@ -35,6 +35,7 @@ from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.recording import Dataset
+from nfv_torchrl.training.room import check_compiler, check_environments
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
@@ -51,6 +52,9 @@ def main(cfg: DictConfig) -> None:
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
+    check_environments(scenario, cfg.record.num_envs, cfg.record.steps, "record")
+    if cfg.learner.compile:
+        check_compiler(device)
     methods = methods_from_config(config["method"], scenario)
     if len(methods) != 1:
         raise ScenarioError(f"method: {len(methods)} were given; one is recorded, such as method=[greedy]")

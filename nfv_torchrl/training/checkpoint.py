@@ -6,7 +6,7 @@ import os
 import re
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import torch
 
@@ -26,13 +26,27 @@ def save_file(path: str | os.PathLike[str], content: dict[str, Any]) -> Path:
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
         with partial.open("wb") as file:
-            torch.save(content, file)
+            _save(content, file)
             file.flush()
             os.fsync(file.fileno())
         partial.replace(target)
+    except OSError as error:
+        error.filename = str(target)  # a full disk does not say which file it is about
+        raise
     finally:
         partial.unlink(missing_ok=True)
     return target
+
+
+def _save(content: dict[str, Any], file: BinaryIO) -> None:
+    """``torch.save``, which hides what the system says under an error of its own."""
+    try:
+        torch.save(content, file)
+    except RuntimeError as error:
+        cause = error.__context__
+        if isinstance(cause, OSError):
+            raise OSError(cause.errno, cause.strerror) from error
+        raise
 
 
 def load_file(path: str | os.PathLike[str], *, largest: int | None = None) -> dict[str, Any]:
