@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.scenario.quoting import one_line
 
 _REMEDY = "use a checkpoint that this run wrote"
 _ARRAY_DTYPES = (torch.bool, torch.uint8, torch.int32, torch.int64, torch.float32, torch.float64)
@@ -30,7 +31,7 @@ def check_keys(name: str, state: Any, keys: Iterable[str]) -> None:
             refuse(f"{name}.{key}", "is missing")
     for key in state:
         if key not in keys:
-            refuse(f"{name}.{key}", "is not known")
+            refuse(f"{name}.{one_line(str(key))}", "is not known")
 
 
 def check_whole(name: str, value: Any, low: int, high: int) -> int:

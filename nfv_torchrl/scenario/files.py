@@ -118,7 +118,7 @@ def _scenario(data: dict[str, Any], substrate: Substrate) -> Scenario:
     if data["endpoint_pairs"] is not None:
         try:
             pairs = np.array(data["endpoint_pairs"], np.int64)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ScenarioError(f"endpoint_pairs: is no table of nodes ({error})") from error
     return Scenario(
         seed=config.seed,

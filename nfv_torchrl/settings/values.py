@@ -263,8 +263,10 @@ def shown(value: Any) -> str:
 
 
 def join(where: str, key: Any) -> str:
-    """The dotted name of a key."""
-    return f"{where}.{key}" if where else str(key)
+    """The dotted name of a key; one that is long or not printable as :func:`shown` has it."""
+    text = str(key)
+    name = text if len(text) <= LONGEST_SHOWN and text.isprintable() else shown(text)
+    return f"{where}.{name}" if where else name
 
 
 def _parse_union(value: Any, choices: Sequence[Any], where: str, expected: str) -> Any:

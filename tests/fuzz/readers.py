@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import json
@@ -19,6 +20,7 @@ from fuzz.arena import Case
 from tiny import ROOT
 
 from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.evaluation.audit import audit_folders
 from nfv_torchrl.evaluation.comparison import Comparison
 from nfv_torchrl.evaluation.methods import RandomMethod
@@ -220,4 +222,8 @@ def warm_up() -> None:
     _evaluation()
     for suffix in ("graphml", "gml", "json"):
         _network("Abilene", suffix)
-    play_some(paper_scenario(4, 0, **SMALL), 0)
+    scenario = paper_scenario(4, 0, **SMALL)
+    play_some(scenario, 0)
+    for path in sorted(POLICIES.glob("*.pt")):
+        with contextlib.suppress(CheckpointError):  # of a network of another size
+            run_method(scenario.replace(horizon=1), load_policy(path, scenario), [0])

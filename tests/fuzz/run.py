@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from fuzz import commands, readers
 from fuzz.arena import Case, Outcome, play
 
-PATIENCE = {"files": 20.0, "settings": 60.0}
+PATIENCE = {"files": 60.0, "settings": 90.0}
 """Seconds that a case may take."""
 
 
