@@ -9,7 +9,7 @@ from pathlib import Path
 import nfv_torchrl
 
 ROOT = Path(__file__).parents[1]
-NOT_FOR_USERS = {"cli", "files"}
+NOT_FOR_USERS = {"cli", "files", "folders", "inputs", "locks"}
 
 
 def test_the_site_builds_without_a_warning(tmp_path):

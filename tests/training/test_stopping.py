@@ -1,0 +1,42 @@
+"""Signals: a run saves and ends, a command cleans up and ends with the signal's code."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from nfv_torchrl.training.cli import STOPS, clear_errors
+from nfv_torchrl.training.setup import StopRequest
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_a_run_is_asked_to_stop_and_handlers_come_back(number):
+    before = [signal.getsignal(each) for each in STOPS]
+    with StopRequest() as stop:
+        assert not stop.asked
+        os.kill(os.getpid(), number)
+        assert stop.asked
+        for again in (signal.SIGTERM, signal.SIGUSR1):  # clusters repeat themselves
+            os.kill(os.getpid(), again)
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert [signal.getsignal(each) for each in STOPS] == before
+
+
+@pytest.mark.parametrize(("number", "name"), [(2, "SIGINT"), (10, "SIGUSR1"), (15, "SIGTERM")])
+def test_a_command_cleans_up_and_ends_with_the_code_of_the_signal(number, name, capsys):
+    cleaned = []
+
+    @clear_errors
+    def main() -> None:
+        try:
+            os.kill(os.getpid(), number)
+        finally:
+            cleaned.append(True)
+
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    assert leaving.value.code == 128 + number and cleaned
+    assert capsys.readouterr().err == f"\nStopped by {name}.\n"
