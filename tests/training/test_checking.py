@@ -14,6 +14,7 @@ from nfv_torchrl.evolution import Strategy
 from nfv_torchrl.losses import DQN
 from nfv_torchrl.networks import MLPNetwork, Sizes
 from nfv_torchrl.training.checking import check_parts, load_part
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.run import Progress, RunFolder
 from nfv_torchrl.training.window import TrainingWindow
 
@@ -138,17 +139,15 @@ def test_what_readers_refuse_is_one_line_too(name, state):
 
 def test_the_config_in_a_checkpoint_is_compared_and_never_built(tmp_path):
     config = {"network": {"_target_": "nfv_torchrl.networks.MLPNetwork"}, "seed": 0}
-    state = {"progress": Progress()}
-    run = RunFolder(tmp_path / "run", config, resume=False, keep=1)
+    checkpoints = CheckpointFolder(tmp_path / "run", keep=1)
+    again = SimpleNamespace(resume=True, checkpoints=checkpoints, config=config, path=tmp_path / "run", inputs={})
     for kept, said in (
         ({"network": {"_target_": "os.mkdir", "path": str(tmp_path / "canary")}, "seed": 0}, "network._target_"),
         ({"network": "${oc.create:{_target_: os.mkdir}}", "seed": 0}, "network"),
         (7, "config"),
         (None, "config"),
     ):
-        run.config = kept
-        run.save(state, 1)
-        again = SimpleNamespace(resume=True, checkpoints=run.checkpoints, config=config, path=run.path)
+        checkpoints.save(1, {"config": kept, "inputs": {}, "progress": Progress().state_dict()})
         with pytest.raises(CheckpointError, match=said):
-            RunFolder.load(again, state)
+            RunFolder.load(again, {"progress": Progress()})
     assert not (tmp_path / "canary").exists()
