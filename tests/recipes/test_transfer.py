@@ -60,14 +60,14 @@ def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
         "only=[paper]",
         "method=[greedy,checkpoint]",
         "seeds=3",
-        f"output={tmp_path}",
+        f"output={tmp_path / 'out'}",
     )
-    found = rows_of(tmp_path)
+    found = rows_of(tmp_path / "out")
     # Differences 0.02, 0.03, 0.04: mean 0.03, standard deviation 0.01, t quantile for two degrees 4.3027.
     assert float(found["paper", "aar minus greedy"]["mean"]) == pytest.approx(0.03)
     assert float(found["paper", "aar minus greedy"]["ci_high"]) == pytest.approx(0.03 + 4.302653 * 0.01 / math.sqrt(3))
     assert float(found["paper", "cost over greedy"]["mean"]) == pytest.approx(1.5)
-    text = (tmp_path / "transfer.md").read_text()
+    text = (tmp_path / "out" / "transfer.md").read_text()
     assert "| paper | 10 | 0.85 | 0.800 ± 0.000 | 0.830 ± 0.025 | +0.030 ± 0.025 | 1.50 |" in text
 
 
@@ -115,14 +115,14 @@ def test_loads_and_draws_of_a_network(tmp_path, policy):
         "overrides=['scenario.colocation=true']",
         "seeds=2",
         "jobs=1",
-        f"output={tmp_path}",
+        f"output={tmp_path / 'out'}",
     )
-    found = rows_of(tmp_path)
+    found = rows_of(tmp_path / "out")
     light, heavy = (found[f"five rho {rho}", "aar greedy"] for rho in ("0.5", "20"))
     assert (light["rho"], heavy["rho"]) == ("0.5", "20.0") and float(heavy["mean"]) < float(light["mean"])
-    text = (tmp_path / "transfer.md").read_text()
+    text = (tmp_path / "out" / "transfer.md").read_text()
     assert "2 scenario seeds with a workload seed each" in text and "colocation on" in text
-    cells = [json.loads(path.read_text()) for path in (tmp_path / "cells").glob("*.json")]
+    cells = [json.loads(path.read_text()) for path in (tmp_path / "out" / "cells").glob("*.json")]
     assert all(cell["spec"]["scenario_seeds"] == [0, 1] for cell in cells) and len(cells) == 4
     networks = [paper_scenario(nodes=5, seed=seed).substrate for seed in (0, 1)]
     assert not np.array_equal(networks[0].vm_unit_cost, networks[1].vm_unit_cost)
@@ -131,5 +131,5 @@ def test_loads_and_draws_of_a_network(tmp_path, policy):
 def test_what_is_missing_is_named(tmp_path, policy, capsys):
     for given, named in (([], "checkpoint"), ([f"checkpoint={policy}", "only=[atlantis]"], "atlantis")):
         with pytest.raises(SystemExit):
-            call("transfer", *given, f"output={tmp_path}")
+            call("transfer", *given, f"output={tmp_path / 'out'}")
         assert named in capsys.readouterr().err
