@@ -56,6 +56,7 @@ def check_target(spec: Mapping[str, Any], where: str, given: tuple[str, ...] = (
     Raises:
         ScenarioError: the target cannot be imported or called, or an argument is unknown, missing or of the wrong kind.
     """
+    parse(spec.get("_partial_", False), bool, f"{where}._partial_")
     target = _locate(spec.get("_target_"), where)
     arguments = {key: value for key, value in spec.items() if key not in OF_HYDRA}
     called = target.__init__ if inspect.isclass(target) else target
