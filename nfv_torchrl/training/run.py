@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from torch import nn
 
 from nfv_torchrl import __version__
-from nfv_torchrl.errors import CheckpointError, ScenarioError
+from nfv_torchrl.errors import CheckpointError, ScenarioError, one_line
 from nfv_torchrl.evaluation.methods import Method
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.network_figure import draw_utilisation
@@ -170,16 +170,19 @@ class RunFolder:
         if not self.resume:
             return
         path, content = self.checkpoints.load_newest()
-        config = content.get("config")
-        if not isinstance(config, Mapping):
-            raise CheckpointError(f"{path} lacks 'config'; it is no checkpoint of a run, use another one")
-        changed = sorted(_differences(config, self.config))
+        config, inputs = content.get("config"), content.get("inputs", {})
+        if not isinstance(config, Mapping) or not isinstance(inputs, Mapping):
+            raise CheckpointError(f"{path} lacks 'config' or 'inputs'; it is no checkpoint of a run, use another one")
+        try:
+            changed = sorted(_differences(config, self.config))
+        except Exception as error:  # a stranger's config may hold tensors, which compare to no truth value
+            raise CheckpointError(f"{path} has a config that no recipe has ({one_line(error)})") from error
         if changed:
             raise CheckpointError(
                 f"{path} was written with another config ({', '.join(changed)} differ); resume with the settings of "
                 f"{self.path / 'config.yaml'}, or start a new run in another run_dir"
             )
-        self._check_inputs(path, content.get("inputs", {}))
+        self._check_inputs(path, inputs)
         check_parts(path, content, state)
         for name, part in state.items():
             load_part(path, name, part, content[name])
@@ -188,7 +191,7 @@ class RunFolder:
 
     def _check_inputs(self, path: Path, before: Mapping[str, str]) -> None:
         # What was not there then or is gone now is not compared: a policy that a run began with is read only once.
-        changed = [key for key, digest in self.inputs.items() if before.get(key, digest) != digest]
+        changed = [key for key, digest in self.inputs.items() if str(before.get(key, digest)) != digest]
         if changed:
             raise CheckpointError(
                 f"{path} was written with other inputs (the content of {', '.join(changed)} differs); give back what "

@@ -146,6 +146,7 @@ def test_the_config_in_a_checkpoint_is_compared_and_never_built(tmp_path):
         ({"network": "${oc.create:{_target_: os.mkdir}}", "seed": 0}, "network"),
         (7, "config"),
         (None, "config"),
+        ({"network": config["network"], "seed": torch.ones(2)}, "a config that no recipe has"),
     ):
         checkpoints.save(1, {"config": kept, "inputs": {}, "progress": Progress().state_dict()})
         with pytest.raises(CheckpointError, match=said):
