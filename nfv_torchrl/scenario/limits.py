@@ -27,6 +27,10 @@ LINK_BYTES = 300
 """Of each link while a substrate is made, most of it the graph in which it is checked."""
 REQUEST_BYTES = 200
 """Of each request of a workload, with what is in memory while it is drawn and written."""
+SLOT_BYTES = 4
+"""Of each slot of a horizon in an environment."""
+STEP_BYTES = 28 + 16 * 8
+"""Of each step that a walk may take: its log, and room for as many reservations."""
 EVENT_BYTES = 300
 """Of each failure or repair, with its line in a decision folder."""
 RESERVATIONS = 10
@@ -89,6 +93,11 @@ def check_memory(*groups: Mapping[str, float]) -> None:
         )
 
 
+def would_take(needed: float) -> str:
+    """For the refusal of a size that no machine takes: what its ``needed`` bytes come to."""
+    return f" (this would take about {needed / 1e9:.3g} GB of memory)"
+
+
 def times(parts: Mapping[str, float], count: int, what: str) -> dict[str, float]:
     """``parts`` for ``count`` of ``what`` they are of, such as environments."""
     return {f"{name} for {count} {what}": size * count for name, size in parts.items()}
@@ -132,8 +141,8 @@ def environment_parts(sizes: Sizes, *, record: bool = False) -> dict[str, float]
         f"arrival_rate * horizon ({sizes.requests:.4g} requests)": (24 + 100 * record) * sizes.requests
         + 20 * records
         + 16 * entries,
-        f"horizon={sizes.horizon}": 4.0 * sizes.horizon,
-        f"max_steps={sizes.max_steps}": (28 + 16 * 8) * float(sizes.max_steps),
+        f"horizon={sizes.horizon}": SLOT_BYTES * float(sizes.horizon),
+        f"max_steps={sizes.max_steps}": STEP_BYTES * float(sizes.max_steps),
         f"failures ({sizes.events:.4g} events)": 18 * sizes.events,
     }
 

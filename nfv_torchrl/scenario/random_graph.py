@@ -8,7 +8,7 @@ import networkx as nx
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.scenario.limits import MAX_NODES, check_memory, random_graph_parts
+from nfv_torchrl.scenario.limits import MAX_NODES, PAIR_BYTES, check_memory, random_graph_parts, would_take
 from nfv_torchrl.scenario.resources import ResourceRanges, draw_links, draw_vms
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.substrate import Substrate
@@ -38,7 +38,8 @@ def draw_random_substrate(nodes: int, seed: int, *, mean_degree: float = 4.0, **
     if isinstance(mean_degree, str | bool) or not 0 < mean_degree <= LARGEST_DEGREE:
         raise ScenarioError(f"mean_degree: {mean_degree!r} is no degree; use a positive number, such as 4")
     if nodes > MAX_NODES:
-        raise ScenarioError(f"nodes: {shown(nodes)}; use an integer of at most {MAX_NODES}")
+        size = would_take(PAIR_BYTES * float(min(nodes, 10**100)) ** 2)
+        raise ScenarioError(f"nodes: {shown(nodes)}; use an integer of at most {MAX_NODES}{size}")
     drawn_from = ResourceRanges(**ranges)
     check_memory(random_graph_parts(int(nodes), _count_links(int(nodes), mean_degree), int(drawn_from.vms[1])))
     links = draw_random_links(int(nodes), seed, mean_degree)

@@ -18,11 +18,15 @@ from nfv_torchrl.scenario.limits import (
     MAX_REQUESTS,
     MAX_SLOTS,
     MAX_STEPS,
+    REQUEST_BYTES,
+    SLOT_BYTES,
+    STEP_BYTES,
     Sizes,
     check_memory,
     environment_parts,
     table_parts,
     workload_parts,
+    would_take,
 )
 from nfv_torchrl.scenario.services import ServiceCatalogue
 from nfv_torchrl.scenario.sources import build_substrate
@@ -112,9 +116,11 @@ class Scenario:
 
     def _check_numbers(self) -> None:
         generator(self.seed, Stream.TOPOLOGY)  # refuses what is no seed
-        for key, most in (("horizon", MAX_SLOTS), ("max_steps", MAX_STEPS)):
-            if not 1 <= getattr(self, key) <= most:
-                raise ScenarioError(f"{key}: {shown(getattr(self, key))}; use an integer from 1 to {most}")
+        for key, most, each in (("horizon", MAX_SLOTS, SLOT_BYTES), ("max_steps", MAX_STEPS, STEP_BYTES)):
+            value = getattr(self, key)
+            if not 1 <= value <= most:
+                size = would_take(each * float(value)) if value > most else ""
+                raise ScenarioError(f"{key}: {shown(value)}; use an integer from 1 to {most}{size}")
         if not 0 <= self.warmup < self.horizon:
             raise ScenarioError(
                 f"warmup: {shown(self.warmup)} slots; use 0 or more, below the horizon of {self.horizon}"
@@ -136,6 +142,7 @@ class Scenario:
         if self.workload_path is None and requests > MAX_REQUESTS:
             raise ScenarioError(
                 f"arrival_rate * horizon: {requests:.4g} requests; use at most {MAX_REQUESTS}; lower one of the two"
+                + would_take(REQUEST_BYTES * requests)
             )
         sizes = self.sizes
         check_memory(table_parts(sizes), workload_parts(sizes), environment_parts(sizes))
