@@ -133,7 +133,12 @@ class NFVEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._act(tensordict.get("action").numpy())
         outcome = torch.from_numpy(self.simulator.world.outcome)
-        reward = self.reward(self.simulator.outcome, self.cost_scale)
+        reward = np.asarray(self.reward(self.simulator.outcome, self.cost_scale), np.float32)
+        if not np.isfinite(reward).all():
+            raise ScenarioError(
+                f"reward: {getattr(self.reward, '__name__', type(self.reward).__name__)} returned "
+                f"{reward[~np.isfinite(reward)][0]}; return finite numbers, in every step"
+            )
         terminated = outcome[:, DONE, None] > 0
         done = terminated | self._segments_ended()
         for memory in self._memories():
@@ -141,7 +146,7 @@ class NFVEnv(EnvBase):
         return self._observe().update(
             {
                 **self._outcome_keys(outcome),
-                "reward": torch.from_numpy(np.asarray(reward, np.float32)).unsqueeze(-1),
+                "reward": torch.from_numpy(reward).unsqueeze(-1),
                 "done": done,
                 "terminated": terminated,
             }

@@ -13,6 +13,10 @@ class CheckpointError(RuntimeError):
     """A checkpoint that cannot be read, or does not fit what it is loaded into."""
 
 
+class TrainingError(RuntimeError):
+    """A run that cannot go on: numbers that are not finite, or no room on the disk."""
+
+
 class AuditError(RuntimeError):
     """Written decisions that contradict the rules of the model or the numbers reported with them."""
 

@@ -30,6 +30,8 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import DqnSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
+from nfv_torchrl.training.disk import check_room, tensor_bytes
+from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.policies import load_weights, q_network
@@ -128,6 +130,9 @@ def main(cfg: DictConfig) -> None:
         storing_device="cpu",
         auto_register_policy_transforms=False,
     )
+    seen = tensor_bytes(env.fake_tensordict().to_dict()) // cfg.collector.num_envs
+    iterations = cfg.collector.total_frames // frames_per_batch
+    check_room(folder.path, state, config, iterations=iterations, memory=cfg.buffer.size * seen)
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
@@ -151,6 +156,7 @@ def main(cfg: DictConfig) -> None:
                     learning = update()
                 progress.updates += cfg.learner.updates
             progress.learning_seconds += time.perf_counter() - started
+            check_learning(learning, progress)
 
             if progress.iteration % cfg.logger.interval == 0:
                 metrics = window.metrics()

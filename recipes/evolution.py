@@ -31,6 +31,8 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvolutionSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
+from nfv_torchrl.training.disk import check_room
+from nfv_torchrl.training.finite import check_fitness
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import load_weights, policy_content
 from nfv_torchrl.training.run import Progress, RunFolder
@@ -59,6 +61,7 @@ def main(cfg: DictConfig) -> None:
     progress = Progress()
     state = {"strategy": strategy, "progress": progress, "rng": GlobalRNGState()}
     folder.load(state)
+    check_room(folder.path, state, config, iterations=cfg.generations)
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/fitness", "eval/aar_gain", "eval/paired_cost"))
@@ -85,6 +88,7 @@ def main(cfg: DictConfig) -> None:
             candidates = [policy.with_vector(vector) for vector in strategy.ask()]
             scores = arena.scores(candidates, horizons)
             fitness = [fmean(score.fitness for score in row) for row in scores]
+            check_fitness(fitness, strategy.generation)
             strategy.tell(fitness)
 
             played = len(candidates) * sum(len(task.workload) for task in horizons)

@@ -27,6 +27,8 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import NFVdeepSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
+from nfv_torchrl.training.disk import check_room
+from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.room import check_environments
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
@@ -94,6 +96,8 @@ def main(cfg: DictConfig) -> None:
         storing_device="cpu",
         auto_register_policy_transforms=False,
     )
+    iterations = cfg.collector.total_frames // (cfg.collector.num_envs * cfg.collector.steps)
+    check_room(folder.path, state, config, iterations=iterations)
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
@@ -116,6 +120,7 @@ def main(cfg: DictConfig) -> None:
                     learning = update(rows[picked])
                     progress.updates += 1
             progress.learning_seconds += time.perf_counter() - started
+            check_learning(learning, progress)
 
             if progress.iteration % cfg.logger.interval == 0:
                 metrics = window.metrics()

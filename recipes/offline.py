@@ -32,6 +32,8 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import OfflineSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
+from nfv_torchrl.training.disk import check_room
+from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.recording import Dataset
@@ -105,6 +107,7 @@ def main(cfg: DictConfig) -> None:
     if updater is not None:
         state["updater"] = updater
     folder.load(state)
+    check_room(folder.path, state, config, iterations=cfg.learner.updates)
     folder.open()  # an older run there is set aside
     dataset = given or Dataset(folder.path / "dataset", **recording)
     if not dataset.complete:
@@ -137,6 +140,7 @@ def main(cfg: DictConfig) -> None:
             progress.learning_seconds += time.perf_counter() - started
 
             if progress.updates % cfg.logger.interval == 0:
+                check_learning(learning, progress)
                 metrics = {f"train/{key}": float(value) for key, value in learning.items()} | progress.speeds()
                 logger.scalars(metrics, progress.frames)
                 bar.set_postfix_str(f"loss {metrics['train/loss']:.4f}  best AAR {max(progress.best_aar, 0):.3f}")

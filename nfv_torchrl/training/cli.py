@@ -25,7 +25,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from nfv_torchrl.cli import recipes_folder
-from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError
+from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError, TrainingError
 from nfv_torchrl.locks import locks_of_command
 from nfv_torchrl.training.overrides import explain
 
@@ -34,7 +34,7 @@ R = TypeVar("R")
 
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 """Signals that ask a command to end: Ctrl-C, and what clusters send before they kill."""
-EXPECTED = (ScenarioError, CheckpointError, AuditError)
+EXPECTED = (ScenarioError, CheckpointError, AuditError, TrainingError)
 """Errors whose message names the culprit and the remedy: a traceback would only bury it."""
 FULL_ERROR = "HYDRA_FULL_ERROR"
 """Environment variable that asks for tracebacks; Hydra itself reads it."""

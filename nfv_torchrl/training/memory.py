@@ -1,40 +1,130 @@
-"""Saving and loading a replay buffer."""
+"""Saving and loading a replay buffer, in a small fraction of the room that it takes in memory."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+import torch
 from tensordict import TensorDict
 from torchrl.data import TensorDictReplayBuffer
 
+from nfv_torchrl.state_checks import ARRAY_DTYPES, check_keys, check_list, check_whole, refuse
+from nfv_torchrl.training.compact import pack, unpack
+
 _OWN_KEY = "index"
 """Key that ``TensorDictReplayBuffer`` writes itself."""
+
+_BLOCK = 2**14
+"""Rows packed at a time: little enough that packing takes no memory to speak of."""
+
+_DTYPES = {str(dtype): dtype for dtype in ARRAY_DTYPES}
 
 
 class MemoryState:
     """The state of a replay buffer: the items it holds and where the next one goes.
 
-    The buffer's own ``state_dict`` holds its whole storage, uninitialised memory included.
+    The buffer's own ``state_dict`` holds its whole storage, uninitialised memory included. Here items are packed (see
+    ``compact``), and what is seen after a step is left out where the next row says the same.
     """
 
     def __init__(self, buffer: TensorDictReplayBuffer) -> None:
         self.buffer = buffer
 
     def state_dict(self) -> dict[str, Any]:
-        """Items as a nested dict of tensors, in storage order."""
-        if not len(self.buffer):
+        """Items by their keys, joined by dots, in storage order."""
+        size = len(self.buffer)
+        if not size:
             return {"size": 0, "items": {}, "cursor": 0}
-        items = self.buffer[:].exclude(_OWN_KEY)
+        items = self.buffer[:].exclude(_OWN_KEY).to("cpu").flatten_keys(".")
+        arrays = {key: value.numpy() for key, value in items.items()}
         return {
-            "size": len(self.buffer),
-            "items": items.to("cpu").to_dict(),
+            "size": size,
+            "items": {key: _pack_item(value, arrays.get(_before(key) or "")) for key, value in arrays.items()},
             "cursor": self.buffer.writer.state_dict()["_cursor"],
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Fill an empty buffer."""
-        if not state["size"]:
+        """Fill an empty buffer.
+
+        Raises:
+            CheckpointError: the state is of a larger buffer, or damaged.
+        """
+        check_keys("buffer", state, ("size", "items", "cursor"))
+        room = self.buffer.storage.max_size
+        size = check_whole("buffer.size", state["size"], 0, room)
+        cursor = check_whole("buffer.cursor", state["cursor"], 0, room - 1)
+        if not size:
             return
-        self.buffer.extend(TensorDict(state["items"], batch_size=[state["size"]]))
+        if size < room and cursor != size:
+            refuse("buffer.cursor", f"is {cursor}, but the {size} rows there end at {size}")
+        if not isinstance(state["items"], dict) or not all(isinstance(key, str) for key in state["items"]):
+            refuse("buffer.items", "is no mapping by key")
+        arrays: dict[str, np.ndarray] = {}
+        for key in sorted(state["items"], key=lambda key: _before(key) is not None):  # those left out of come first
+            before = arrays.get(_before(key) or "")
+            arrays[key] = _unpack_item(f"buffer.items.{key}", state["items"][key], size, before)
+        items = TensorDict(batch_size=[size])
+        for key in state["items"]:
+            items.set(tuple(key.split(".")), torch.from_numpy(arrays[key]))
+        self.buffer.extend(items)
         writer = self.buffer.writer
-        writer.load_state_dict({**writer.state_dict(), "_cursor": state["cursor"]})
+        writer.load_state_dict({**writer.state_dict(), "_cursor": cursor})
+
+
+def _before(key: str) -> str | None:
+    """The key whose next row may say what ``key`` says."""
+    return key.removeprefix("next.") if key.startswith("next.") else None
+
+
+def _blocks(size: int) -> list[slice]:
+    return [slice(first, min(first + _BLOCK, size)) for first in range(0, size, _BLOCK)]
+
+
+def _pack_item(array: np.ndarray, before: np.ndarray | None) -> dict[str, Any]:
+    """``array`` [size, ...]; of rows that equal the following one of ``before`` nothing but that is kept."""
+    content: dict[str, Any] = {
+        "dtype": str(torch.from_numpy(array[:0]).dtype),
+        "shape": list(array.shape[1:]),
+        "blocks": [],
+    }
+    shared = None
+    if before is not None and before.shape == array.shape and before.dtype == array.dtype:
+        shared = _equal_rows(array, np.roll(before, -1, 0))
+        content["shared"] = pack(shared)
+    for block in _blocks(len(array)):
+        rows = array[block] if shared is None else array[block][~shared[block]]
+        content["blocks"].append(pack(rows))
+    return content
+
+
+def _equal_rows(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Rows that are the same to the bit, bool [n]."""
+    flat = (np.ascontiguousarray(array).reshape(len(array), -1).view(np.uint8) for array in (one, other))
+    return (next(flat) == next(flat)).all(1)
+
+
+def _unpack_item(name: str, content: Any, size: int, before: np.ndarray | None) -> np.ndarray:
+    check_keys(name, content, {"dtype", "shape", "blocks"} | ({"shared"} & set(content)))
+    kind = _DTYPES.get(content["dtype"]) if isinstance(content["dtype"], str) else None
+    if kind is None:
+        refuse(f"{name}.dtype", f"is {content['dtype']!r}")
+    dtype = torch.zeros((), dtype=kind).numpy().dtype
+    width = check_list(f"{name}.shape", content["shape"], len(content["shape"]))
+    shape = tuple(check_whole(f"{name}.shape", length, 0, 2**31) for length in width)
+    shared = np.zeros(size, np.bool_)
+    if "shared" in content:
+        shared = unpack(f"{name}.shared", content["shared"], np.dtype(np.bool_), (size,))
+        if before is None or before.shape != (size, *shape) or before.dtype != dtype:
+            refuse(name, "leaves out rows that are nowhere else")
+    blocks = _blocks(size)
+    parts = [
+        unpack(name, packed, dtype, (int((~shared[block]).sum()), *shape))
+        for block, packed in zip(blocks, check_list(f"{name}.blocks", content["blocks"], len(blocks)), strict=True)
+    ]
+    rows = np.concatenate(parts)
+    if before is None or "shared" not in content:
+        return rows
+    whole = np.roll(before, -1, 0)
+    whole[~shared] = rows
+    return whole

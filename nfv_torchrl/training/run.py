@@ -6,7 +6,7 @@ import re
 import shlex
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,11 @@ from nfv_torchrl.locks import Lock
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.values import list_of_seeds
+from nfv_torchrl.state_checks import check_keys, check_real, check_whole
 from nfv_torchrl.training.acting import acting_method
 from nfv_torchrl.training.checking import check_parts, load_part
 from nfv_torchrl.training.checkpoint import CheckpointFolder
+from nfv_torchrl.training.finite import check_weights
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import policy_content, q_network, save_policy
 from nfv_torchrl.training.setup import quote, run_folder
@@ -72,11 +74,20 @@ class Progress:
         return {key: value for key, value in asdict(self).items() if key not in ("_since", "learning_seconds")}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from ``state_dict()``."""
-        names = {f.name for f in fields(self)}
-        for key, value in state.items():
-            if key in names:
-                setattr(self, key, value)
+        """Go on from ``state_dict()``.
+
+        Raises:
+            CheckpointError: a number is missing, or is none that counts something.
+        """
+        own = self.state_dict()
+        check_keys("progress", state, own)
+        for key, value in own.items():
+            if isinstance(value, int):
+                check_whole(f"progress.{key}", state[key], 0, 2**62)
+            else:
+                check_real(f"progress.{key}", state[key], finite=False)
+        for key in own:
+            setattr(self, key, state[key])
 
 
 class RunFolder:
@@ -137,8 +148,12 @@ class RunFolder:
 
         Raises:
             CheckpointError: the folder is no longer this run's.
+            TrainingError: weights are not finite; the checkpoints there stay.
         """
         self._check_in_place()
+        for name, part in state.items():
+            if isinstance(part, nn.Module):
+                check_weights(part, name, state["progress"])
         content = {name: _plain(part.state_dict()) for name, part in state.items()}
         content["config"] = self.config
         content["inputs"] = self.inputs
@@ -229,7 +244,11 @@ def evaluate_policy(
     ``method`` says how the loss's actor acts: by default step by step, as ``acting_method`` has it.
 
     Best means the highest AAR; among equals the lowest cost per accepted request.
+
+    Raises:
+        TrainingError: weights are not finite; ``best.pt`` stays.
     """
+    check_weights(loss, "loss", progress)
     actor = loss.actor
     device = next(actor.parameters()).device
     actor.eval()  # noisy networks act by their mean weights
