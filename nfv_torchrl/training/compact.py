@@ -29,7 +29,7 @@ _SHARES = (np.arange(2**16) / SHARE_LEVELS).astype(np.float32)
 
 def pack(array: np.ndarray) -> dict[str, Tensor]:
     """``array`` [n, ...] as a few tensors uint8 []."""
-    rows = np.ascontiguousarray(array).reshape(len(array), -1)
+    rows = flat_rows(array)
     if array.dtype == np.bool_:
         return {"bits": _deflate(np.packbits(rows))}
     if array.dtype.kind == "i" and array.size:
@@ -64,6 +64,11 @@ def unpack(name: str, packed: Any, dtype: np.dtype, shape: tuple[int, ...]) -> n
     return np.frombuffer(_inflate(name, packed[form], count * stored.itemsize), stored).astype(dtype).reshape(shape)
 
 
+def flat_rows(array: np.ndarray) -> np.ndarray:
+    """``array`` [n, ...] as [n, numbers of a row]."""
+    return np.ascontiguousarray(array).reshape(len(array), int(np.prod(array.shape[1:])))
+
+
 def _pack_shares(rows: np.ndarray) -> dict[str, Tensor]:
     """Columns that are multiples of 1/1000 throughout as integers, the others as they are."""
     with np.errstate(invalid="ignore", over="ignore"):
@@ -88,7 +93,7 @@ def _unpack_shares(name: str, packed: Mapping[str, Any], shape: tuple[int, ...])
     codes = np.frombuffer(_inflate(name, packed["shares"], 2 * shape[0] * whole), np.uint16)
     raw = np.frombuffer(_inflate(name, packed["raw"], 4 * shape[0] * (width - whole)), np.float32)
     rows = np.empty((shape[0], width), np.float32)
-    rows[:, exact] = _SHARES[codes].reshape(shape[0], -1) if whole else 0
+    rows[:, exact] = _SHARES[codes].reshape(shape[0], whole)
     rows[:, ~exact] = raw.reshape(shape[0], width - whole)
     return rows.reshape(shape)
 

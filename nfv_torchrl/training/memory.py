@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torchrl.data import TensorDictReplayBuffer
 
 from nfv_torchrl.state_checks import ARRAY_DTYPES, check_keys, check_list, check_whole, refuse
-from nfv_torchrl.training.compact import pack, unpack
+from nfv_torchrl.training.compact import flat_rows, pack, unpack
 
 _OWN_KEY = "index"
 """Key that ``TensorDictReplayBuffer`` writes itself."""
@@ -100,8 +100,7 @@ def _pack_item(array: np.ndarray, before: np.ndarray | None) -> dict[str, Any]:
 
 def _equal_rows(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Rows that are the same to the bit, bool [n]."""
-    flat = (np.ascontiguousarray(array).reshape(len(array), -1).view(np.uint8) for array in (one, other))
-    return (next(flat) == next(flat)).all(1)
+    return (flat_rows(one).view(np.uint8) == flat_rows(other).view(np.uint8)).all(1)
 
 
 def _unpack_item(name: str, content: Any, size: int, before: np.ndarray | None) -> np.ndarray:
