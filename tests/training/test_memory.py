@@ -16,8 +16,8 @@ from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.scenario.scenario import paper_scenario
 from nfv_torchrl.training.compact import RATIO, pack, unpack
+from nfv_torchrl.training.disk import tensor_bytes
 from nfv_torchrl.training.memory import MemoryState
-from nfv_torchrl.training.room import tensor_bytes
 
 SHAPES = arrays.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=6)
 
