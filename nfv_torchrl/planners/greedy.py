@@ -14,6 +14,7 @@ from nfv_torchrl.planners.base import CompiledPlanner
 from nfv_torchrl.planners.compiled import kernel, part
 from nfv_torchrl.planners.placing import Placing, grow_placing, lay_walk, make_placing, place_greedily
 from nfv_torchrl.planners.walks import OVERFLOW, encode_walk, make_problem, walk_totals
+from nfv_torchrl.settings.values import Count
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 
@@ -96,7 +97,7 @@ class GreedyPlanner(CompiledPlanner):
 
     _scratch: Placing
 
-    def __init__(self, *, paths: int = 10) -> None:
+    def __init__(self, *, paths: Count = 10) -> None:
         super().__init__()
         if paths < 1:
             raise ScenarioError(f"paths is {paths}; a greedy planner needs at least 1 path to look at")

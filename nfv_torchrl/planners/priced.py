@@ -16,6 +16,7 @@ from nfv_torchrl.planners.base import CompiledPlanner
 from nfv_torchrl.planners.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
 from nfv_torchrl.planners.compiled import kernel
 from nfv_torchrl.planners.walks import OVERFLOW
+from nfv_torchrl.settings.values import AboveOne, NotNegative
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 
@@ -137,7 +138,7 @@ class PricedPlanner(CompiledPlanner):
     _scratch: Scratch
 
     def __init__(
-        self, *, price: float = 3200.0, steepness: float = 3000.0, admit_threshold: float | None = None
+        self, *, price: NotNegative = 3200.0, steepness: AboveOne = 3000.0, admit_threshold: NotNegative | None = None
     ) -> None:
         super().__init__()
         if not (price >= 0 and np.isfinite(price)):

@@ -26,6 +26,7 @@ from nfv_torchrl.planners.placing import (
     place_greedily,
 )
 from nfv_torchrl.planners.walks import OVERFLOW, make_problem
+from nfv_torchrl.settings.values import Count, Natural
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 PENALTY = 1e6
@@ -236,7 +237,7 @@ class TabuPlanner(CompiledPlanner):
 
     _scratch: TabuScratch
 
-    def __init__(self, *, paths: int = 10, iterations: int = 30, tenure: int = 5) -> None:
+    def __init__(self, *, paths: Count = 10, iterations: Natural = 30, tenure: Count = 5) -> None:
         super().__init__()
         if paths < 1:
             raise ScenarioError(f"paths is {paths}; a tabu planner needs at least 1 path to look at")
