@@ -197,7 +197,7 @@ def _owns_all_below(folder: Path) -> bool:
 
 
 _OUR_NAMES = re.compile(
-    r"checkpoint_\d+\.pt|best\.pt|config\.yaml|dataset\.json|seed_(\d+|None)|(summary|per_seed)\.csv|"
+    r"checkpoint_\d+\.pt|best\.pt|config\.yaml|(dataset|evaluation)\.json|seed_(\d+|None)|(summary|per_seed)\.csv|"
     r"(losses|transfer)\.(md|csv)|[a-z_]+\.(png|pdf|csv)|.+-[0-9a-f]{12}(\.json|\.npz|\.yaml|)"
 )
 
@@ -222,7 +222,8 @@ def _is_evaluation(folder: Path) -> bool:
     """METHOD/seed_S and the tables, and nothing else."""
     names = [path for path in _entries(folder) if not path.name.startswith(".")]
     return any(map(_is_method, names)) and all(
-        _is_method(path) if path.is_dir() else path.name in ("summary.csv", "per_seed.csv") for path in names
+        _is_method(path) if path.is_dir() else path.name in ("summary.csv", "per_seed.csv", "evaluation.json")
+        for path in names
     )
 
 

@@ -64,11 +64,13 @@ def play(
                 process.start()
                 inner.close()
             assert pipe is not None
-            pipe.send((kind, number))
-            yield _answer(process, pipe, kind, number, patience)
-            if fresh:
-                process.kill()
-                process.join()
+            with tempfile.TemporaryDirectory(prefix="fuzz_") as folder:  # made here, where nobody is killed
+                pipe.send((kind, number, Path(folder)))
+                outcome = _answer(process, pipe, kind, number, patience)
+                if fresh:
+                    process.kill()
+                    process.join()
+            yield outcome
     finally:
         if process is not None and process.is_alive():
             process.kill()
@@ -94,11 +96,10 @@ def _serve(cases: dict[str, Case], pipe: Connection) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     while True:
         try:
-            kind, number = pipe.recv()
+            kind, number, folder = pipe.recv()
         except EOFError:
             return
-        with tempfile.TemporaryDirectory(prefix="fuzz_") as folder:
-            pipe.send(_judge(cases[kind], number, Path(folder)))
+        pipe.send(_judge(cases[kind], number, folder))
 
 
 def _judge(case: Case, number: int, folder: Path) -> tuple[str, str]:

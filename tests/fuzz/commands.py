@@ -11,14 +11,12 @@ from pathlib import Path
 
 from fuzz.arena import Case
 from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException
 from inprocess import recipe
 from omegaconf import OmegaConf
 from tiny import ROOT, TINY_SCENARIO, TINY_TRAINING
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.settings.recipes import RECIPES, check_recipe
+from nfv_torchrl.settings.recipes import RECIPES, read_settings
 from nfv_torchrl.training.overrides import explain
 
 RUN = {
@@ -76,17 +74,17 @@ def check(name: str, number: int, folder: Path) -> None:
     """Settings composed and checked as a recipe does before it starts."""
     overrides = overrides_of(random.Random(f"{name}:{number}"), name)
     try:
-        check_recipe(name, overrides, ROOT / "recipes")
-    except HydraException as error:
+        with initialize_config_dir(str(ROOT / "recipes" / "config"), version_base=None):
+            config = compose(name, overrides)
+    except Exception as error:  # whatever Hydra raises, as on the command line
         raise ScenarioError(explain(error, ROOT / "recipes", name, overrides)) from error
-    finally:
-        GlobalHydra.instance().clear()
+    read_settings(config, RECIPES[name])
 
 
 def run(name: str, number: int, folder: Path) -> None:
     """A recipe started for real where an older run is: refused, it leaves that run and the folder as they were."""
     overrides = overrides_of(random.Random(f"{name}:{number}"), name)
-    older = {"run/config.yaml": "seed: 0\n", "run/best.pt": "weights"} if name != "evaluate" else {}
+    older = {"run/config.yaml": "run_dir: run\nscenario: {}\n", "run/best.pt": "weights"} if name != "evaluate" else {}
     for path, text in older.items():
         (folder / path).parent.mkdir(exist_ok=True)
         (folder / path).write_text(text)
