@@ -166,7 +166,7 @@ class NFVEnv(EnvBase):
             self._start(self._rows_to_reset(tensordict))
         self._continue = False
         outcome = torch.from_numpy(self.simulator.world.outcome)
-        # An horizon without any request is over before its first step; a root that is done would be reset for ever, so
+        # A horizon without any request is over before its first step; a root that is done would be reset for ever, so
         # that is said with the first step instead. Rows that are not reset keep what TorchRL has for them.
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
         keys = {**self._outcome_keys(outcome), "done": done, "terminated": done.clone()}

@@ -85,13 +85,13 @@ def read_text(path: str | os.PathLike[str], limit: int = MAX_FILE_BYTES) -> str:
     """The text of ``path``: UTF-8, or UTF-16 with a byte order mark; marks are dropped.
 
     Raises:
-        ScenarioError: the file cannot be read, see :func:`read_bytes`, or is no such text.
+        ScenarioError: the file cannot be read, see ``read_bytes``, or is no such text.
     """
     return decode(read_bytes(path, limit), path)
 
 
 def decode(content: bytes, path: str | os.PathLike[str]) -> str:
-    """The text of the bytes ``content`` of file ``path``; see :func:`read_text`."""
+    """The text of the bytes ``content`` of file ``path``; see ``read_text``."""
     encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
     try:
         return content.decode(encoding)

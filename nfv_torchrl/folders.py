@@ -15,7 +15,7 @@ from nfv_torchrl.locks import LONGEST_NOTE, Lock, is_locked, read_note
 MARKER = ".nfv_torchrl.lock"
 """The lock file of a folder, which stays and says what the folder is."""
 RUN_FILES = ("scenario.json", "substrate.json", "workload.csv", "decisions.jsonl", "metrics.json")
-"""Files of one method on one workload, see :func:`nfv_torchrl.evaluation.records.write_run`."""
+"""Files of one method on one workload, see ``nfv_torchrl.evaluation.records.write_run``."""
 KINDS = {
     "run": "a training run",
     "evaluation": "an evaluation",
@@ -50,7 +50,7 @@ def check_place(key: str, value: Any) -> Path:
 
 
 def kind_of(folder: Path) -> str | None:
-    """Which of :data:`KINDS` a folder is: what its marker says, or what older versions left in it; None: none."""
+    """Which of ``KINDS`` a folder is: what its marker says, or what older versions left in it; None: none."""
     return _marked(folder) or next((kind for kind, is_one in _RECOGNISED.items() if is_one(folder)), None)
 
 
@@ -87,7 +87,7 @@ def claim(key: str, path: Path, kind: str) -> Lock:
     Args:
         key: the setting that names it, for messages.
         path: the folder.
-        kind: one of :data:`KINDS`.
+        kind: one of ``KINDS``.
 
     Raises:
         ScenarioError: another command is at work there, the folder is not of this kind, or cannot be written.

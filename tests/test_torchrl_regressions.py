@@ -331,7 +331,7 @@ def test_partial_resets_merge_what_the_environment_returns():
 
 
 def test_a_reset_row_that_is_done_is_refused():
-    # An horizon without requests is over when it begins; `NFVEnv` says so with its first step, for this reason.
+    # A horizon without requests is over when it begins; `NFVEnv` says so with its first step, for this reason.
     env = Counter()
     plain = env._reset
     env._reset = lambda *args, **kwargs: plain(*args, **kwargs).update({"done": torch.ones(3, 1, dtype=torch.bool)})

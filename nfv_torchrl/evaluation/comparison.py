@@ -27,7 +27,7 @@ MYOPIC = "myopic_optimal"
 
 @dataclass(eq=False)
 class Comparison:
-    """The runs of an evaluation, added one by one with :meth:`add`; whole walks are not kept.
+    """The runs of an evaluation, added one by one with ``add``; whole walks are not kept.
 
     A workload seed names a run. Runs may be on networks of their own (other scenario seeds), of which ``scenario`` is
     the first; what all methods are paired by is then scenario seed and workload seed together.

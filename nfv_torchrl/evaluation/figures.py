@@ -44,7 +44,7 @@ Row = Mapping[str, Any]
 
 
 def tidy_row(series: str, x: float, interval: Interval, **more: Any) -> dict[str, Any]:
-    """One row of the tidy table that :func:`line_figure` draws and :func:`save_figure` writes."""
+    """One row of the tidy table that ``line_figure`` draws and ``save_figure`` writes."""
     return {
         "series": series,
         "x": x,
@@ -62,7 +62,7 @@ def line_figure(
     """One line for each series of ``rows``, with its confidence interval where that is defined.
 
     Args:
-        rows: tidy table (see :data:`Row`); series are drawn, and coloured, in order of appearance.
+        rows: tidy table (see ``Row``); series are drawn, and coloured, in order of appearance.
         x_label: label of the horizontal axis, unit included.
         y_label: label of the vertical axis, unit included.
         title: what is shown, and on what scenario.

@@ -1,6 +1,6 @@
 """What an evaluation runs: anything that answers B networks step by step, be it a rule, a planner or a trained policy.
 
-A method of your own is any class with the attributes of :class:`Method`; in a recipe's yaml it is a ``_target_``.
+A method of your own is any class with the attributes of ``Method``; in a recipe's yaml it is a ``_target_``.
 """
 
 from __future__ import annotations
@@ -83,14 +83,14 @@ class RandomMethod:
         self.name, self.mask = name, mask
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
-        """See :class:`Method`."""
+        """See ``Method``."""
         states = [generator(seed, Stream.EXPLORATION).integers(1, 2**63) for seed in seeds]
         self._states = np.array(states, np.uint64)
         none = np.zeros(0, np.int64)
         pick_uniform(simulator.world.env, simulator.world.seen.valid, self._states, none)
 
     def act(self, simulator: Simulator) -> np.ndarray:
-        """See :class:`Method`."""
+        """See ``Method``."""
         actions = np.empty(simulator.batch_size, np.int64)
         pick_uniform(simulator.world.env, simulator.world.seen.valid, self._states, actions)
         return actions
@@ -110,7 +110,7 @@ class PlannerMethod:
         self.planner, self.name = planner, name
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
-        """See :class:`Method`."""
+        """See ``Method``."""
         self._rows = np.arange(simulator.batch_size)
         self._plans = np.zeros((simulator.batch_size, simulator.world.rules.max_steps), np.int64)
         self._lengths = np.zeros(simulator.batch_size, np.int64)
@@ -118,7 +118,7 @@ class PlannerMethod:
         self._plan(simulator, self._rows[:0])
 
     def act(self, simulator: Simulator) -> np.ndarray:
-        """See :class:`Method`."""
+        """See ``Method``."""
         env = simulator.world.env
         steps = env["steps"]
         fresh = np.flatnonzero((steps == 0) & (env["done"] == 0))
@@ -193,13 +193,13 @@ class PolicyMethod:
         self._carried: TensorDictBase | None = None
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
-        """See :class:`Method`."""
+        """See ``Method``."""
         self._carried = None
         self.act(simulator)  # the first call allocates and may compile
         self._carried = None
 
     def act(self, simulator: Simulator) -> np.ndarray:
-        """See :class:`Method`."""
+        """See ``Method``."""
         if self._scorer is not None:
             return self._highest(simulator, self._scorer)
         seen = read_observation(simulator, self.parts)

@@ -1,4 +1,4 @@
-"""The metrics of one run, all from its :class:`~nfv_torchrl.evaluation.records.RunRecord`.
+"""The metrics of one run, all from its ``nfv_torchrl.evaluation.records.RunRecord``.
 
 Each is one number under a flat key; a part of a whole follows a slash (``aar/voip``, ``rejected/delay``). A metric that
 does not exist in the run (the mean delay when nothing was accepted) is NaN, in files ``null``.

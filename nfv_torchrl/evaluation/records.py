@@ -35,7 +35,7 @@ class RunRecord:
 
     Walks are stored end to end: request r's steps are rows ``step_offsets[r]`` to ``step_offsets[r + 1]`` of the three
     step arrays. Those of a rejected request are what it tried: steps that passed, then the one that ended it, in whose
-    place :data:`REJECT` or :data:`NO_ACTION` may stand.
+    place ``REJECT`` or ``NO_ACTION`` may stand.
 
     Raises:
         ScenarioError: an array has another length than the workload or the steps ask for.
@@ -77,7 +77,7 @@ class RunRecord:
 
 
 def write_run(folder: str | os.PathLike[str], record: RunRecord, metrics: Mapping[str, Any]) -> Path:
-    """Write the five files of a run (:data:`RUN_FILES`) to ``folder``: all of them or none.
+    """Write the five files of a run (``RUN_FILES``) to ``folder``: all of them or none.
 
     The files are written to a folder of another name, which then takes the place of ``folder`` and of an older run in
     it. Their bytes depend on the arguments alone. Returns ``folder``.
@@ -104,7 +104,7 @@ def write_run(folder: str | os.PathLike[str], record: RunRecord, metrics: Mappin
 
 
 def read_metrics(folder: str | os.PathLike[str]) -> dict[str, float]:
-    """The metrics of a run written by :func:`write_run`; a metric that does not exist in the run is NaN."""
+    """The metrics of a run written by ``write_run``; a metric that does not exist in the run is NaN."""
     document = json.loads((Path(folder) / "metrics.json").read_text())
     return {key: math.nan if value is None else value for key, value in document.items()}
 

@@ -68,7 +68,7 @@ def relative_difference(
     """``mean(a - b) / mean(b)`` over the same seeds, [n] each: 0.07 reads "7 % above ``b``".
 
     The interval is Fieller's for a ratio of two means of pairs. It leaves out 0 exactly when the interval of
-    :func:`paired_difference` does, so the absolute and the relative comparison never contradict each other.
+    ``paired_difference`` does, so the absolute and the relative comparison never contradict each other.
     """
     ratio = ratio_of_means(a, b, confidence)
     return Interval(ratio.mean - 1, ratio.low - 1, ratio.high - 1, ratio.n)

@@ -24,7 +24,7 @@ class Cell:
     """What is to be computed, and nothing of the figures that show it.
 
     Attributes:
-        kind: which function computes it, see :data:`nfv_torchrl.experiments.work.WORK`.
+        kind: which function computes it, see ``nfv_torchrl.experiments.work.WORK``.
         label: begins the name of its file, for people.
         content: all that its result depends on, as JSON.
         needs: cells that come first, such as the training of the policy that this one evaluates.

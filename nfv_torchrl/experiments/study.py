@@ -90,7 +90,7 @@ class Study:
         return {name: self.evaluation(name, world) for name in self.methods(world)}
 
     def evaluation(self, name: str, world: World, reward: Sequence[str] | None = None) -> Cell:
-        """A method on all seeds of a scenario; ``reward``: see :meth:`training`."""
+        """A method on all seeds of a scenario; ``reward``: see ``training``."""
         return self._run("evaluation", name, world, self.seeds, reward)
 
     def timing(self, name: str, world: World) -> Cell:

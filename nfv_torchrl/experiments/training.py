@@ -40,7 +40,7 @@ def run_folder(cell: Cell, store: CellStore) -> Path:
 def train(cell: Cell, store: CellStore) -> dict[str, Any]:
     """Run the recipe of the cell to its end and return its curves: ``eval`` and ``train``, lists of points.
 
-    A point has ``frames`` and those of :data:`CURVES` that the run logged.
+    A point has ``frames`` and those of ``CURVES`` that the run logged.
 
     Raises:
         TrainingStopped: the recipe failed or was interrupted.

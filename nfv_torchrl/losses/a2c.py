@@ -14,9 +14,11 @@ from nfv_torchrl.settings.values import NotNegative, Share, StopKey
 class A2C(PolicyGradient):
     r"""The synchronous form of asynchronous advantage actor-critic.
 
-    .. math:: L = -\log \pi(a | s) \, A(s, a) + c_V \big(V(s) - \hat V(s)\big)^2 - c_H H[\pi(\cdot | s)]
+    $$
+    L = -\log \pi(a | s) \, A(s, a) + c_V \big(V(s) - \hat V(s)\big)^2 - c_H H[\pi(\cdot | s)]
+    $$
 
-    with the entropy :math:`H` over valid actions only (Mnih et al., "Asynchronous Methods for Deep Reinforcement
+    with the entropy $H$ over valid actions only (Mnih et al., "Asynchronous Methods for Deep Reinforcement
     Learning", ICML 2016). Learns from each row once, as REINFORCE here does.
 
     Args and keys: see ``PolicyGradient`` (the objective is made here), and

@@ -21,14 +21,16 @@ from nfv_torchrl.simulator.state import SERVICE
 class AcrossRequests(MaskedLoss):
     r"""Q-learning in which time passes between requests and not within them.
 
-    .. math:: y_t = \sum_{i=0}^{k-1} D_i \, \big(r_{t+i} - e_{t+i} \, \bar r_{m(t+i)}\big)
-        + D_k (1 - d_{t+k}) \bar Q(s_{t+k}, a^*), \quad D_i = \prod_{j<i} \gamma_{t+j}, \quad
-        a^* = \arg\max_{a' \in A_p(s_{t+k})} Q(s_{t+k}, a')
+    $$
+    y_t = \sum_{i=0}^{k-1} D_i \, \big(r_{t+i} - e_{t+i} \, \bar r_{m(t+i)}\big)
+    + D_k (1 - d_{t+k}) \bar Q(s_{t+k}, a^*), \quad D_i = \prod_{j<i} \gamma_{t+j}, \quad
+    a^* = \arg\max_{a' \in A_p(s_{t+k})} Q(s_{t+k}, a')
+    $$
 
-    with e = 1 for a step that ends a request and 0 for the others, :math:`\gamma_t` = 1 for a step that does not, d the
-    end of the horizon, and :math:`\bar r_m` the reward rate: what a request of service m earns on average, or any
-    request if ``by_service`` is False. A subclass says what :math:`\gamma_t` is at the end of a request
-    (``request_discount``) and how the rate is learned. The error :math:`y_t - Q(s_t, a_t)` is minimised.
+    with e = 1 for a step that ends a request and 0 for the others, $\gamma_t$ = 1 for a step that does not, d the
+    end of the horizon, and $\bar r_m$ the reward rate: what a request of service m earns on average, or any
+    request if ``by_service`` is False. A subclass says what $\gamma_t$ is at the end of a request
+    (``request_discount``) and how the rate is learned. The error $y_t - Q(s_t, a_t)$ is minimised.
 
     k = 1 for a step within a request. For the last step of a request it is n, or fewer where the horizon, the segment
     or the collected batch ends sooner; the look ahead goes on from the end of a segment, which is not the end of the
@@ -38,7 +40,7 @@ class AcrossRequests(MaskedLoss):
 
     Taking off the rate leaves the choice of actions alone, since one request after the other ends whatever is done,
     and of the type that arrives; but values stay near 0, where a network learns them soon, instead of near
-    :math:`\bar r / (1 - \gamma)`. Rates by service also take the luck of which types arrive out of the sums.
+    $\bar r / (1 - \gamma)$. Rates by service also take the luck of which types arrive out of the sums.
 
     Needs ``admission_control``, for a policy that may not refuse has little to look ahead for. Network observations
     that show a request's surroundings alone (``candidate``) hide from the next request what this one did to the rest of
@@ -53,9 +55,9 @@ class AcrossRequests(MaskedLoss):
         loss_function: ``l2``, ``smooth_l1`` or ``l1``.
 
     Keys read: the network's ``in_keys``, ``action_mask`` bool [A], ``action`` int64 [], and under ``next`` the same
-    observation and mask, k steps on, with ``reward`` float32 [1], the sum of the :math:`D_i r_{t+i}`, ``terminated``
-    bool [1], ``discount`` float32 [1], which is :math:`D_k`, and ``requests`` float32 [M], the sum of
-    :math:`D_i e_{t+i}` by service (M = 1 or the number of types). ``prepare`` makes them from a batch [B, T], time in
+    observation and mask, k steps on, with ``reward`` float32 [1], the sum of the $D_i r_{t+i}$, ``terminated``
+    bool [1], ``discount`` float32 [1], which is $D_k$, and ``requests`` float32 [M], the sum of
+    $D_i e_{t+i}$ by service (M = 1 or the number of types). ``prepare`` makes them from a batch [B, T], time in
     dimension 1, with ``request_done`` bool [1], ``done`` bool [1] and ``statistics`` [16] under ``next``.
 
     Writes ``loss`` []. Logs ``reward_rate`` [], the mean rate over services, and ``td_error`` [], the mean absolute

@@ -16,12 +16,14 @@ from nfv_torchrl.simulator.state import SERVICE
 class CentredDQN(AcrossRequests):
     r"""Double Q-learning with a discount per request and the reward's running mean taken off at its end.
 
-    .. math:: y = r - e \bar r_m + \gamma^e (1 - d') \bar Q(s', a^*), \quad
-        \bar r_m = \frac{\text{what requests of service m earned}}{\text{how many of them ended}}
+    $$
+    y = r - e \bar r_m + \gamma^e (1 - d') \bar Q(s', a^*), \quad
+    \bar r_m = \frac{\text{what requests of service m earned}}{\text{how many of them ended}}
+    $$
 
     with e = 1 for a step that ends a request and 0 for the others (Naik, Wan, Tomar, Sutton, "Reward Centering", RLC
-    2024, the simple form). Both sums of :math:`\bar r_m` run over what was collected and forget with time constant
-    ``rate_over``. With the default reward, :math:`r - \bar r` is the acceptance less its running mean, but for costs.
+    2024, the simple form). Both sums of $\bar r_m$ run over what was collected and forget with time constant
+    ``rate_over``. With the default reward, $r - \bar r$ is the acceptance less its running mean, but for costs.
     With n > 1 the sum is that of ``AcrossRequests``.
 
     Args:

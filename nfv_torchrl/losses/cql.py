@@ -14,14 +14,16 @@ from nfv_torchrl.settings.values import NotNegative, Share, StopKey
 class CQL(MaskedLoss):
     r"""Deep Q-learning that holds down the values of valid actions that were not recorded.
 
-    .. math:: \tfrac12 \big(r + \gamma (1 - d') \bar Q(s', a^*) - Q(s, a)\big)^2
-        + \alpha \Big(\log \sum_{b \in A_p(s)} e^{Q(s, b)} - Q(s, a)\Big), \quad
-        a^* = \arg\max_{a' \in A_p(s')} \bar Q(s', a')
+    $$
+    \tfrac12 \big(r + \gamma (1 - d') \bar Q(s', a^*) - Q(s, a)\big)^2
+    + \alpha \Big(\log \sum_{b \in A_p(s)} e^{Q(s, b)} - Q(s, a)\Big), \quad
+    a^* = \arg\max_{a' \in A_p(s')} \bar Q(s', a')
+    $$
 
     (Kumar, Zhou, Tucker, Levine, "Conservative Q-Learning for Offline Reinforcement Learning", NeurIPS 2020, eq. 4,
     CQL(H)). Both the sum and the maximum run over valid actions only. Without the second term the maximum would
     choose actions whose values were never corrected by data. With ``double`` the online network chooses
-    :math:`a^*`.
+    $a^*$.
 
     Args:
         network: factory of the Q-network.

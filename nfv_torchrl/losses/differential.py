@@ -14,10 +14,12 @@ from nfv_torchrl.settings.values import Count, Distance, StepSize
 class DifferentialDQN(AcrossRequests):
     r"""Q-learning for the highest average reward per request, without a discount.
 
-    .. math:: \delta = r - e \bar r + (1 - d') \bar Q(s', a^*) - Q(s, a), \quad
-        \bar r \leftarrow \bar r + \beta \, \frac{\sum_B e \, \delta}{\sum_B e}
+    $$
+    \delta = r - e \bar r + (1 - d') \bar Q(s', a^*) - Q(s, a), \quad
+    \bar r \leftarrow \bar r + \beta \, \frac{\sum_B e \, \delta}{\sum_B e}
+    $$
 
-    with e = 1 for a step that ends a request and 0 for the others, so that the reward rate :math:`\bar r` is one per
+    with e = 1 for a step that ends a request and 0 for the others, so that the reward rate $\bar r$ is one per
     request and the steps of a walk cost no time, and B the batch (Wan, Naik, Sutton, "Learning and Planning in
     Average-Reward Markov Decision Processes", ICML 2021, eqs. 5 to 7; as with their options, a decision lasts as long
     as a request). Learning the rate from the errors of Q, and not from the rewards, makes it that of the greedy policy

@@ -21,16 +21,19 @@ from nfv_torchrl.settings.values import Positive, Share, StopKey
 class DiscreteSAC(MaskedLoss):
     r"""A stochastic policy, two Q-networks and a learned temperature, every expectation over valid actions.
 
-    .. math::
-        J_Q &= \sum_{k=1,2} \big(Q_k(s, a) - r - \gamma (1 - d') V(s')\big)^2, \quad
-        V(s') = \sum_{a' \in A_p(s')} \pi(a'|s') \big[\min_k \bar Q_k(s', a') - \alpha \log \pi(a'|s')\big] \\
-        J_\pi &= \sum_{a \in A_p(s)} \pi(a|s) \big[\alpha \log \pi(a|s) - \min_k Q_k(s, a)\big] \\
-        J_\alpha &= \log \alpha \, \big(H(\pi(\cdot|s)) - c \log |A_p(s)|\big)
+    $$
+    \begin{aligned}
+    J_Q &= \sum_{k=1,2} \big(Q_k(s, a) - r - \gamma (1 - d') V(s')\big)^2, \quad
+    V(s') = \sum_{a' \in A_p(s')} \pi(a'|s') \big[\min_k \bar Q_k(s', a') - \alpha \log \pi(a'|s')\big] \\
+    J_\pi &= \sum_{a \in A_p(s)} \pi(a|s) \big[\alpha \log \pi(a|s) - \min_k Q_k(s, a)\big] \\
+    J_\alpha &= \log \alpha \, \big(H(\pi(\cdot|s)) - c \log |A_p(s)|\big)
+    \end{aligned}
+    $$
 
     (Christodoulou, "Soft Actor-Critic for Discrete Action Settings", 2019, eqs. 3, 10 to 12). The target entropy is a
     share c of the most that the state's own mask allows, since that number changes from node to node; a state with
-    one valid action has entropy 0 and asks for 0. Q is not differentiated in :math:`J_\pi`, nor the policy in
-    :math:`J_Q` and :math:`J_\alpha`.
+    one valid action has entropy 0 and asks for 0. Q is not differentiated in $J_\pi$, nor the policy in
+    $J_Q$ and $J_\alpha$.
 
     The policy explores by itself: ``exploration=none``. In an evaluation it takes its most probable action.
 

@@ -13,11 +13,13 @@ from nfv_torchrl.settings.values import Distance, Share, StopKey
 class DQN(Acting, DQNLoss):
     r"""Mean squared temporal-difference error over valid actions.
 
-    .. math:: \big(r + \gamma (1 - d') \max_{a' \in A_p(s')} \bar Q(s', a') - Q(s, a)\big)^2
+    $$
+    \big(r + \gamma (1 - d') \max_{a' \in A_p(s')} \bar Q(s', a') - Q(s, a)\big)^2
+    $$
 
-    with :math:`\bar Q` the target network and :math:`d'` the end of the request, so that nothing is learned across
+    with $\bar Q$ the target network and $d'$ the end of the request, so that nothing is learned across
     requests (section "DQN-AR" of the paper; Mnih et al., "Human-level control through deep reinforcement learning",
-    Nature 518, 2015). With ``double`` the online network chooses :math:`a'` and the target network values it (van
+    Nature 518, 2015). With ``double`` the online network chooses $a'$ and the target network values it (van
     Hasselt, Guez, Silver, "Deep Reinforcement Learning with Double Q-learning", AAAI 2016).
 
     Args:

@@ -15,9 +15,11 @@ from nfv_torchrl.settings.values import Positive
 class Imitation(MaskedLoss):
     r"""Cross-entropy of the recorded actions under a softmax over valid actions.
 
-    .. math:: - \log \frac{e^{f(s, a) / \tau}}{\sum_{b \in A_p(s)} e^{f(s, b) / \tau}}
+    $$
+    - \log \frac{e^{f(s, a) / \tau}}{\sum_{b \in A_p(s)} e^{f(s, b) / \tau}}
+    $$
 
-    with f the network's output and :math:`\tau` the temperature (Pomerleau, "ALVINN", NeurIPS 1988; Bojarski et al.,
+    with f the network's output and $\tau$ the temperature (Pomerleau, "ALVINN", NeurIPS 1988; Bojarski et al.,
     2016). It needs no reward and looks at no next state. The weights are preferences and no values: they start a
     policy-gradient loss well, and Q-learning only after its values have been learned anew. A small temperature keeps
     them as far apart as values are, so that Q-learning that begins with them (``init_from`` of ``recipes/dqn.py``) has

@@ -15,8 +15,10 @@ from nfv_torchrl.settings.values import Count, Distance, Share, StopKey
 class NStepDQN(DQN):
     r"""The error of deep Q-learning with n rewards before the look ahead.
 
-    .. math:: \Big(\sum_{i=0}^{k-1} \gamma^i r_{t+i}
-        + \gamma^k (1 - d_{t+k}) \max_{a' \in A_p(s_{t+k})} \bar Q(s_{t+k}, a') - Q(s_t, a_t)\Big)^2
+    $$
+    \Big(\sum_{i=0}^{k-1} \gamma^i r_{t+i}
+    + \gamma^k (1 - d_{t+k}) \max_{a' \in A_p(s_{t+k})} \bar Q(s_{t+k}, a') - Q(s_t, a_t)\Big)^2
+    $$
 
     (Watkins, "Learning from Delayed Rewards", 1989; as used by Hessel et al., "Rainbow", AAAI 2018, eq. 1). k is n, or
     fewer where the request, the horizon or the collected batch ends sooner: rewards of another request are never

@@ -69,11 +69,13 @@ class PolicyGradient(nn.Module):
     The advantages are generalised advantage estimates (Schulman et al., "High-Dimensional Continuous Control Using
     Generalized Advantage Estimation", ICLR 2016)
 
-    .. math:: A_t = \sum_{l \ge 0} (\gamma \lambda)^l \delta_{t+l}, \qquad
-        \delta_t = r_t + \gamma (1 - d_{t+1}) V(s_{t+1}) - V(s_t)
+    $$
+    A_t = \sum_{l \ge 0} (\gamma \lambda)^l \delta_{t+l}, \qquad
+    \delta_t = r_t + \gamma (1 - d_{t+1}) V(s_{t+1}) - V(s_t)
+    $$
 
-    whose sum and whose look ahead end with the request (:math:`d`), or go on across requests with ``stop_at: done``.
-    :math:`\lambda = 1` gives the return to the end of the request less the critic's baseline.
+    whose sum and whose look ahead end with the request ($d$), or go on across requests with ``stop_at: done``.
+    $\lambda = 1$ gives the return to the end of the request less the critic's baseline.
 
     Args:
         network: factory of the actor's network, whose values are the logits; the critic gets another of its kind.
@@ -121,7 +123,7 @@ class PolicyGradient(nn.Module):
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Advantages along the time dimension of [B, T], then the rows that the objective reads, [B T]."""
         following = [("next", key) if isinstance(key, str) else ("next", *key) for key in self._observed]
-        # An horizon without requests ends without the end of a request.
+        # A horizon without requests ends without the end of a request.
         stop = data.get(("next", self._stop_at)) | data.get(("next", "done"))
         data = data.select(*self._observed, "action", "action_log_prob", *following, ("next", "reward"))
         data.set(("next", "stop"), stop)

@@ -14,10 +14,12 @@ from nfv_torchrl.settings.values import NotNegative, Positive, Share, StopKey
 class PPO(PolicyGradient):
     r"""The clipped surrogate, which lets a batch be learned from several times.
 
-    .. math:: L = -\min\big(\rho A, \mathrm{clip}(\rho, 1 - \epsilon, 1 + \epsilon) A\big)
-        + c_V \big(V(s) - \hat V(s)\big)^2 - c_H H[\pi(\cdot | s)], \qquad \rho = \pi(a | s) / \pi_{old}(a | s)
+    $$
+    L = -\min\big(\rho A, \mathrm{clip}(\rho, 1 - \epsilon, 1 + \epsilon) A\big)
+    + c_V \big(V(s) - \hat V(s)\big)^2 - c_H H[\pi(\cdot | s)], \qquad \rho = \pi(a | s) / \pi_{old}(a | s)
+    $$
 
-    with the entropy :math:`H` over valid actions only (Schulman et al., "Proximal Policy Optimization Algorithms",
+    with the entropy $H$ over valid actions only (Schulman et al., "Proximal Policy Optimization Algorithms",
     arXiv:1707.06347, eq. 9).
 
     Args and keys: see ``PolicyGradient`` (the objective is made here), and

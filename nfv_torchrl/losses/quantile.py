@@ -18,14 +18,16 @@ from nfv_torchrl.settings.values import Positive, Quantiles, Share, StopKey
 class QuantileDQN(MaskedLoss):
     r"""QR-DQN: the distribution of returns by M quantiles, over valid actions.
 
-    .. math:: \sum_{i=1}^{M} \frac{1}{M} \sum_{j=1}^{M}
-        \Big|\hat\tau_i - \mathbb{1}[u_{ij} < 0]\Big| \frac{L_\kappa(u_{ij})}{\kappa}, \quad
-        u_{ij} = r + \gamma (1 - d') \bar\theta_j(s', a^*) - \theta_i(s, a), \quad \hat\tau_i = \frac{2i - 1}{2M}
+    $$
+    \sum_{i=1}^{M} \frac{1}{M} \sum_{j=1}^{M}
+    \Big|\hat\tau_i - \mathbb{1}[u_{ij} < 0]\Big| \frac{L_\kappa(u_{ij})}{\kappa}, \quad
+    u_{ij} = r + \gamma (1 - d') \bar\theta_j(s', a^*) - \theta_i(s, a), \quad \hat\tau_i = \frac{2i - 1}{2M}
+    $$
 
-    with :math:`L_\kappa` the Huber loss and :math:`a^* = \arg\max_{a' \in A_p(s')} \frac{1}{M} \sum_j
-    \bar\theta_j(s', a')`, the mean over quantiles taken first and the maximum over valid actions only (Dabney,
+    with $L_\kappa$ the Huber loss and $a^* = \arg\max_{a' \in A_p(s')} \frac{1}{M} \sum_j
+    \bar\theta_j(s', a')$, the mean over quantiles taken first and the maximum over valid actions only (Dabney,
     Rowland, Bellemare, Munos, "Distributional Reinforcement Learning with Quantile Regression", AAAI 2018, eqs. 9 to
-    13, algorithm 1). With ``double`` the online network chooses :math:`a^*`.
+    13, algorithm 1). With ``double`` the online network chooses $a^*$.
 
     Args:
         network: factory of a network with several outputs per action.

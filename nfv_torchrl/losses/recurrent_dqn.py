@@ -19,15 +19,17 @@ from nfv_torchrl.settings.values import Distance, Natural, Share, StopKey
 class RecurrentDQN(MaskedLoss):
     r"""Mean squared temporal-difference error of a Q-network with memory, over sequences across requests.
 
-    .. math:: \big(r_t + \gamma (1 - d_{t+1}) \max_{a' \in A_p(s_{t+1})} \bar Q(o_{\le t+1}, a')
-        - Q(o_{\le t}, a_t)\big)^2
+    $$
+    \big(r_t + \gamma (1 - d_{t+1}) \max_{a' \in A_p(s_{t+1})} \bar Q(o_{\le t+1}, a')
+    - Q(o_{\le t}, a_t)\big)^2
+    $$
 
     summed back through the whole sequence: the gradient of a later request's error reaches what was remembered of
     earlier ones. It is the value-based form of the recurrent policy gradient that the paper names as future work
     (Hausknecht, Stone, "Deep Recurrent Q-Learning for Partially Observable MDPs", 2015). Sequences begin with the
     memory stored when they were collected; ``burn_in`` steps only bring it up to date with the present weights
     (Kapturowski et al., "Recurrent Experience Replay in Distributed Reinforcement Learning", ICLR 2019). Online and
-    target network both run over the sequence from there; with ``double`` the online network chooses :math:`a'`.
+    target network both run over the sequence from there; with ``double`` the online network chooses $a'$.
 
     Args:
         network: factory of a network with ``unroll``, as ``GRUNetwork`` has it.
@@ -40,7 +42,7 @@ class RecurrentDQN(MaskedLoss):
             across requests in either case.
 
     ``prepare`` turns a batch [B, T] into B sequences: ``observation`` float32 [T + 1, P] and ``action_mask`` bool
-    [T + 1, A], of the T steps and of what followed the last; ``restart`` bool [T + 1], steps that begin an horizon;
+    [T + 1, A], of the T steps and of what followed the last; ``restart`` bool [T + 1], steps that begin a horizon;
     ``memory`` float32 [H] before the first; ``action`` int64 [T], ``reward`` float32 [T] and ``stop`` bool [T]. So
     ``buffer.size`` and ``buffer.batch_size`` count sequences.
 

@@ -14,9 +14,11 @@ from nfv_torchrl.settings.values import Share, StopKey
 class Reinforce(PolicyGradient):
     r"""The score-function gradient of the return.
 
-    .. math:: L = -\log \pi(a | s) \, \big(G - V(s)\big) + \big(V(s) - G\big)^2
+    $$
+    L = -\log \pi(a | s) \, \big(G - V(s)\big) + \big(V(s) - G\big)^2
+    $$
 
-    with :math:`G` the return from the step to the end of the request (Williams, "Simple Statistical Gradient-Following
+    with $G$ the return from the step to the end of the request (Williams, "Simple Statistical Gradient-Following
     Algorithms for Connectionist Reinforcement Learning", Machine Learning 8, 1992). A smaller ``lmbda`` trades the
     return's variance for the critic's bias. Learns from each row once, a batch in parts: for the last
     of them the policy is some steps younger than the one that acted.

@@ -14,13 +14,15 @@ from nfv_torchrl.simulator.state import SLOTS_CLOSED
 class SlotDiscountDQN(CentredDQN):
     r"""n-step double Q-learning across requests with a discount per slot.
 
-    .. math:: y_t = \sum_{i=0}^{k-1} \gamma^{\tau_{t+i} - \tau_t} \big(r_{t+i} - e_{t+i} \bar r_{m(t+i)}\big)
-        + \gamma^{\tau_{t+k} - \tau_t} (1 - d_{t+k}) \bar Q(s_{t+k}, a^*)
+    $$
+    y_t = \sum_{i=0}^{k-1} \gamma^{\tau_{t+i} - \tau_t} \big(r_{t+i} - e_{t+i} \bar r_{m(t+i)}\big)
+    + \gamma^{\tau_{t+k} - \tau_t} (1 - d_{t+k}) \bar Q(s_{t+k}, a^*)
+    $$
 
-    with :math:`\tau_t` the slot of step t: requests of the same slot count alike, and what a decision does after many
+    with $\tau_t$ the slot of step t: requests of the same slot count alike, and what a decision does after many
     slots counts the less the more time has passed, however many requests came (the discount of a semi-Markov process:
     Bradtke, Duff, "Reinforcement Learning Methods for Continuous-Time Markov Decision Problems", NeurIPS 1994; n steps
-    as in ``NStepDQN``). The means :math:`\bar r_m` are those of ``CentredDQN``, by service unless told otherwise.
+    as in ``NStepDQN``). The means $\bar r_m$ are those of ``CentredDQN``, by service unless told otherwise.
     Many rewards are summed before the first value is asked, since the effect of an acceptance shows tens of requests
     later, at other places of the network. Slots that belong to a warm-up are not counted and do not discount.
 

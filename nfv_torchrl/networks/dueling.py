@@ -12,11 +12,13 @@ from nfv_torchrl.settings.values import Activation, Widths
 class DuelingNetwork(QNetwork):
     r"""A common trunk, a value head and an advantage head.
 
-    .. math:: Q(s, a) = V(s) + A(s, a) - \frac{1}{|A_p(s)|} \sum_{a' \in A_p(s)} A(s, a')
+    $$
+    Q(s, a) = V(s) + A(s, a) - \frac{1}{|A_p(s)|} \sum_{a' \in A_p(s)} A(s, a')
+    $$
 
     (Wang et al., "Dueling Network Architectures for Deep Reinforcement Learning", ICML 2016, eq. 9). The mean runs over
     the valid actions only: a node has some ten of them among hundreds, and with the classic mean over all actions
-    :math:`V` would have to make up for advantages that mean nothing. So :math:`V(s)` is the mean value of what can be
+    $V$ would have to make up for advantages that mean nothing. So $V(s)$ is the mean value of what can be
     done.
 
     Reads ``observation`` float32 [..., P] and ``action_mask`` bool [..., A], returns values float32 [..., A], or

@@ -13,12 +13,14 @@ from nfv_torchrl.settings.values import Width
 class GRUNetwork(QNetwork):
     r"""A gated recurrent unit between a layer that encodes the observation and one that gives the values.
 
-    .. math:: x_t = \mathrm{ReLU}(W_e o_t + b_e), \quad h_{t+1} = \mathrm{GRU}(x_t, h_t), \quad
-        Q(s_t, \cdot) = W_q [x_t, h_{t+1}] + b_q
+    $$
+    x_t = \mathrm{ReLU}(W_e o_t + b_e), \quad h_{t+1} = \mathrm{GRU}(x_t, h_t), \quad
+    Q(s_t, \cdot) = W_q [x_t, h_{t+1}] + b_q
+    $$
 
     (Cho et al., "Learning Phrase Representations using RNN Encoder-Decoder for Statistical Machine Translation", EMNLP
     2014; for Q-learning: Hausknecht, Stone, "Deep Recurrent Q-Learning for Partially Observable MDPs", 2015). The
-    memory :math:`h` goes on from request to request and is zero at the beginning of an horizon, so that the arrivals so
+    memory $h$ goes on from request to request and is zero at the beginning of a horizon, so that the arrivals so
     far can tell what the observation does not: the current load of each service, how long requests stay.
 
     Reads ``observation`` float32 [..., P] and ``memory`` float32 [..., H], returns values float32 [..., A] (or
@@ -56,7 +58,7 @@ class GRUNetwork(QNetwork):
         Args:
             observation: float32 [B, T, P].
             memory: before the first step, float32 [B, H].
-            restart: steps that begin an horizon, with a memory of zeros, bool [B, T].
+            restart: steps that begin a horizon, with a memory of zeros, bool [B, T].
 
         Returns:
             Values [B, T, A] (or [B, T, A, outputs]) and the memory after the last step [B, H].

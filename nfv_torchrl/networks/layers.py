@@ -49,11 +49,13 @@ def activation_class(name: str) -> type[nn.Module]:
 class NoisyLinear(nn.Module):
     r"""A linear layer with learned noise on its weights, for exploration without epsilon.
 
-    .. math:: y = (\mu^w + \sigma^w \odot \varepsilon^w) x + \mu^b + \sigma^b \odot \varepsilon^b, \qquad
-        \varepsilon^w_{ij} = f(\varepsilon_i) f(\varepsilon_j), \quad \varepsilon^b_i = f(\varepsilon_i), \quad
-        f(z) = \mathrm{sgn}(z) \sqrt{|z|}
+    $$
+    y = (\mu^w + \sigma^w \odot \varepsilon^w) x + \mu^b + \sigma^b \odot \varepsilon^b, \qquad
+    \varepsilon^w_{ij} = f(\varepsilon_i) f(\varepsilon_j), \quad \varepsilon^b_i = f(\varepsilon_i), \quad
+    f(z) = \mathrm{sgn}(z) \sqrt{|z|}
+    $$
 
-    with standard normal :math:`\varepsilon` (Fortunato et al., "Noisy Networks for Exploration", ICLR 2018, eqs. 9
+    with standard normal $\varepsilon$ (Fortunato et al., "Noisy Networks for Exploration", ICLR 2018, eqs. 9
     to 11). In training mode every forward pass draws new noise, one draw for each row of the first dimension: each
     environment explores with weights of its own at every step, and online and target network have noise of their own
     in every update. In evaluation mode the weights are their means.
@@ -62,7 +64,7 @@ class NoisyLinear(nn.Module):
         in_features: size of the input's last dimension.
         out_features: size of the output's last dimension.
         bias: with a bias.
-        std_init: sigma_0; the initial :math:`\sigma` is ``std_init / sqrt(in_features)``.
+        std_init: sigma_0; the initial $\sigma$ is ``std_init / sqrt(in_features)``.
     """
 
     def __init__(

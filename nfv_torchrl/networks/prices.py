@@ -32,7 +32,7 @@ LARGEST_UNIT = 1e9
 
 
 class PriceHead(nn.Module):
-    r"""One function: :math:`f(x) = w \cdot (x, 1) + \sum_h v_h \tanh(u_h \cdot (x, 1))`.
+    r"""One function: $f(x) = w \cdot (x, 1) + \sum_h v_h \tanh(u_h \cdot (x, 1))$.
 
     ``forward`` takes features float32 [..., F] to values [...]. ``w`` and ``v`` begin at zero, so f begins at zero.
 

@@ -17,7 +17,7 @@ from nfv_torchrl.state_checks import check_keys, check_tensor
 class MemoryObservation:
     """Key ``memory`` float32 [B, size]: what the policy wrote to ``("next", "memory")`` with its last step.
 
-    Zeros at the beginning of an horizon; the end of a request leaves it alone. ``NFVEnv`` keeps it with its own state,
+    Zeros at the beginning of a horizon; the end of a request leaves it alone. ``NFVEnv`` keeps it with its own state,
     so that a resumed run goes on with the same memory. A policy that writes nothing there sees zeros.
 
     Args:

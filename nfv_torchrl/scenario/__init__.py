@@ -1,6 +1,6 @@
 """What the world is: substrate, services, workload, failures; frozen data with generators, readers and writers.
 
-Needs NumPy and networkx, not torch. Start at :class:`Scenario`.
+Needs NumPy and networkx, not torch. Start at ``Scenario``.
 """
 
 from nfv_torchrl.scenario.config import ScenarioConfig, SubstrateConfig

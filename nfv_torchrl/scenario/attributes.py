@@ -1,6 +1,6 @@
 """The attributes of a network file as numbers in this project's units.
 
-No number of a file goes unused, and none is made up for some links only, without a word: see :meth:`FileNumbers.warn`.
+No number of a file goes unused, and none is made up for some links only, without a word: see ``FileNumbers.warn``.
 """
 
 from __future__ import annotations

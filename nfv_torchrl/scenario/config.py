@@ -74,7 +74,7 @@ def _paper_services() -> dict[str, ServiceType]:
 
 @dataclass(frozen=True)
 class ScenarioConfig:
-    """All keys of a scenario; see :class:`nfv_torchrl.scenario.Scenario` for those that it has too.
+    """All keys of a scenario; see ``nfv_torchrl.scenario.Scenario`` for those that it has too.
 
     Attributes:
         pairs_per_service: P, (ingress, egress) pairs of a service type with ``endpoints: catalogue``.
@@ -103,7 +103,7 @@ class ScenarioConfig:
 
 
 def parse_config(config: Mapping[str, Any] | ScenarioConfig) -> ScenarioConfig:
-    """A checked :class:`ScenarioConfig` from a plain mapping; missing keys take the paper's values.
+    """A checked ``ScenarioConfig`` from a plain mapping; missing keys take the paper's values.
 
     ``services`` may be a mapping from names to types or a list of types that have a ``name``; null stands for the
     paper's.

@@ -116,7 +116,7 @@ class FailureTimeline:
 
     @classmethod
     def from_events(cls, events: Any, substrate: Substrate, source: str = "failure_timeline") -> FailureTimeline:
-        """The inverse of :meth:`to_events`.
+        """The inverse of ``to_events``.
 
         Raises:
             ScenarioError: an entry is no such event, is out of order, names what the substrate does not have, repairs

@@ -195,7 +195,7 @@ def read_node_link(path: Path) -> GraphFile:
     """The graph of a file in networkx's ``node_link_data`` form, links under ``links`` or ``edges``.
 
     Raises:
-        ScenarioError: as :func:`read_graph_file`.
+        ScenarioError: as ``read_graph_file``.
     """
     data = read_json(path, MAX_NETWORK_BYTES)
     nodes = _entries(data, "nodes", path)

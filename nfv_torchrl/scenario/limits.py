@@ -104,7 +104,7 @@ def times(parts: Mapping[str, float], count: int, what: str) -> dict[str, float]
 
 
 def random_graph_parts(nodes: int, links: float, vms: int) -> dict[str, float]:
-    """What drawing a random substrate takes, for :func:`check_memory`."""
+    """What drawing a random substrate takes, for ``check_memory``."""
     return {
         f"substrate.nodes={nodes}": PAIR_BYTES * float(nodes) ** 2,
         "substrate.mean_degree": LINK_BYTES * float(links),

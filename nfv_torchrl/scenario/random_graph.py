@@ -28,7 +28,7 @@ def draw_random_substrate(nodes: int, seed: int, *, mean_degree: float = 4.0, **
         nodes: N >= 2.
         seed: scenario seed >= 0.
         mean_degree: links per node times two.
-        ranges: any field of :class:`ResourceRanges`, as ``vm_capacity=(200, 1200)``.
+        ranges: any field of ``ResourceRanges``, as ``vm_capacity=(200, 1200)``.
 
     Raises:
         ScenarioError: an argument is out of range.

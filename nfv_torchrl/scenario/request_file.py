@@ -43,7 +43,7 @@ class Columns(NamedTuple):
 
 
 def write_columns(path: str | os.PathLike[str], columns: Columns, catalogue: ServiceCatalogue) -> None:
-    """Write a file with :data:`INDEX_HEADER`; services by name, lifetimes (s) with all their digits."""
+    """Write a file with ``INDEX_HEADER``; services by name, lifetimes (s) with all their digits."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(INDEX_HEADER)
@@ -62,7 +62,7 @@ def read_columns(
     allow_empty: bool = False,
     numbers_are_indices: bool = False,
 ) -> Columns:
-    """Read a file with :data:`HEADER` or :data:`INDEX_HEADER`, its columns in any order.
+    """Read a file with ``HEADER`` or ``INDEX_HEADER``, its columns in any order.
 
     Args:
         path: the file.
@@ -71,7 +71,7 @@ def read_columns(
         horizon: slots are below it.
         allow_empty: whether a file without requests will do.
         numbers_are_indices: read ``ingress`` and ``egress`` as indices too: files written before there was
-            :data:`INDEX_HEADER` have these names.
+            ``INDEX_HEADER`` have these names.
 
     Raises:
         ScenarioError: a line does not fit the form, the services, the nodes or the horizon; the message names file,

@@ -50,11 +50,11 @@ TARGET_RHO_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """One experiment's world. Build it with :meth:`from_config` or :func:`paper_scenario`.
+    """One experiment's world. Build it with ``from_config`` or ``paper_scenario``.
 
     Attributes:
         name: what tables and files call it.
-        seed: draws topology, resources and endpoint pairs. Workload seeds are apart, see :meth:`workload`.
+        seed: draws topology, resources and endpoint pairs. Workload seeds are apart, see ``workload``.
         substrate: the network.
         catalogue: service types and VNFs.
         horizon: T, slots (s) of one run.
@@ -290,7 +290,7 @@ def _first_of_permutation(rng: np.random.Generator, possible: int, count: int) -
 
 
 def paper_scenario(nodes: int = 10, seed: int = 0, **changes: Any) -> Scenario:
-    """The paper's simulation setting with N = ``nodes``; ``changes`` are further keys of :class:`ScenarioConfig`.
+    """The paper's simulation setting with N = ``nodes``; ``changes`` are further keys of ``ScenarioConfig``.
 
     For instance ``paper_scenario(colocation=True, substrate={"vms_max": 2}, failures={"p_repair": 0.1})``.
     """

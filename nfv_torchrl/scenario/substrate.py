@@ -30,7 +30,7 @@ LONGEST_NAME = 500
 class Substrate:
     """An undirected connected graph G(N, L) with VMs on its nodes (section "System Model" of the paper).
 
-    Nodes are 0 .. N-1; people and workload files call them by id or label, see :meth:`node_index`. Arrays are
+    Nodes are 0 .. N-1; people and workload files call them by id or label, see ``node_index``. Arrays are
     read-only; capacities are rounded to whole bit/s and cycles/s.
 
     Attributes:
@@ -264,7 +264,7 @@ class Substrate:
 
     @classmethod
     def from_networkx(cls, graph: nx.Graph, source: str = "graph") -> Substrate:
-        """The inverse of :meth:`to_networkx`; ``source`` names the graph in errors.
+        """The inverse of ``to_networkx``; ``source`` names the graph in errors.
 
         Nodes that are 0 .. N-1 stay; others are numbered in the graph's order and kept as ids (and labels where there
         is none). Parallel links are merged, links from a node to itself dropped with a warning.
@@ -299,7 +299,7 @@ class Substrate:
         )
 
     def to_json(self, path: str | os.PathLike[str]) -> None:
-        """Write the networkx ``node_link_data`` form of :meth:`to_networkx`, with all digits."""
+        """Write the networkx ``node_link_data`` form of ``to_networkx``, with all digits."""
         graph = self.to_networkx()
         data = {
             "directed": False,
@@ -312,7 +312,7 @@ class Substrate:
 
     @classmethod
     def from_json(cls, path: str | os.PathLike[str]) -> Substrate:
-        """Read what :meth:`to_json` wrote, or any ``node_link_data`` JSON with the same attributes, all of them.
+        """Read what ``to_json`` wrote, or any ``node_link_data`` JSON with the same attributes, all of them.
 
         Links are taken from ``links`` or, as newer networkx writes them, ``edges``. A file that lacks some attributes
         is for ``read_topology``, which draws them.

@@ -29,7 +29,7 @@ LINK_NUMBERS = ("capacity", "delay", "unit_cost")
 
 
 def shipped_topologies() -> list[str]:
-    """Names that :func:`read_topology` takes besides paths: those of the files in this package, in lower case."""
+    """Names that ``read_topology`` takes besides paths: those of the files in this package, in lower case."""
     return sorted(path.stem.lower() for path in TOPOLOGIES.glob("*.graphml"))
 
 
@@ -51,17 +51,17 @@ def read_topology(
     ``fibre_km_per_ms``, at least 0.01 ms. Parallel links are merged: capacities add, the smallest delay and unit cost
     stay. Links from a node to itself are dropped. Nodes without coordinates get the mean of their neighbours'. Equal
     labels are told apart by a number, as ``Oslo (2)``. What is dropped, filled in, or drawn for some links only, and
-    numbers of the file that are not used, are named by a :class:`ScenarioWarning`.
+    numbers of the file that are not used, are named by a ``ScenarioWarning``.
 
     Args:
-        path: file, or one of :func:`shipped_topologies` (in any case).
+        path: file, or one of ``shipped_topologies`` (in any case).
         seed: scenario seed, for what is drawn.
         fibre_km_per_ms: speed of light in fibre.
         detour: length of a fibre over the great circle's.
         largest_component: keep only the largest connected component (of several the first) of a disconnected file.
-        directed: how arcs of a directed file become links, see :func:`pair_arcs`.
+        directed: how arcs of a directed file become links, see ``pair_arcs``.
         attributes: by quantity, the file's name of it, or ``{name: NAME, unit: UNIT}``.
-        ranges: any field of :class:`ResourceRanges`.
+        ranges: any field of ``ResourceRanges``.
 
     Raises:
         ScenarioError: the file is missing, cannot be parsed, holds a number out of range, is disconnected or has no

@@ -119,9 +119,9 @@ class Workload:
         allow_empty: bool = False,
         numbers_are_indices: bool = False,
     ) -> Workload:
-        """Read what :meth:`to_csv` wrote, or ``slot,service,ingress,egress,lifetime`` with nodes by id or label.
+        """Read what ``to_csv`` wrote, or ``slot,service,ingress,egress,lifetime`` with nodes by id or label.
 
-        See :func:`nfv_torchrl.scenario.request_file.read_columns` for the arguments.
+        See ``nfv_torchrl.scenario.request_file.read_columns`` for the arguments.
 
         Raises:
             ScenarioError: a line does not fit the form, the services, the nodes or the horizon; the message names file,

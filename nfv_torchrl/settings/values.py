@@ -264,7 +264,7 @@ def shown(value: Any) -> str:
 
 
 def join(where: str, key: Any) -> str:
-    """The dotted name of a key; one that is long or not printable as :func:`shown` has it."""
+    """The dotted name of a key; one that is long or not printable as ``shown`` has it."""
     text = str(key)
     name = text if len(text) <= LONGEST_SHOWN and text.isprintable() else shown(text)
     return f"{where}.{name}" if where else name

@@ -125,7 +125,7 @@ class Simulator:
         """Begin the horizon of environment b on an empty network.
 
         Args:
-            workload: its requests; none at all is an horizon that is over at once.
+            workload: its requests; none at all is a horizon that is over at once.
             timeline: failures and repairs, none by default.
         """
         self.load_arrivals(b, workload, timeline)

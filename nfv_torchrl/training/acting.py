@@ -45,12 +45,12 @@ class CompiledCandidates:
         self._play = CandidatePlay(network)
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
-        """See :class:`Method`."""
+        """See ``Method``."""
         self._play.prepare(simulator)
         self._play.choose(simulator)  # the first call may compile
 
     def act(self, simulator: Simulator) -> np.ndarray:
-        """See :class:`Method`."""
+        """See ``Method``."""
         return self._play.choose(simulator)
 
 

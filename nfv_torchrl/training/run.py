@@ -93,7 +93,7 @@ class Progress:
 class RunFolder:
     """The folder of a run: ``config.yaml``, ``checkpoint_*.pt``, ``best.pt`` and TensorBoard's event files.
 
-    Making it checks it; nothing on disk moves before :meth:`open`, which comes after all that may be refused. While the
+    Making it checks it; nothing on disk moves before ``open``, which comes after all that may be refused. While the
     run lives it holds a lock on the folder.
 
     Args:

@@ -145,7 +145,7 @@ def first_fit(
     timeline: FailureTimeline | None = None,
     **settings,
 ) -> RunRecord:
-    """A run of :class:`FirstFit`; by default on the toy scenario, its workload, without failures."""
+    """A run of ``FirstFit``; by default on the toy scenario, its workload, without failures."""
     scenario = toy.toy_scenario() if scenario is None else scenario
     workload = toy.toy_workload() if workload is None else workload
     timeline = FailureTimeline.empty() if timeline is None else timeline

@@ -1,7 +1,7 @@
 """A whole evaluation, written by the real code, tampered with in every way we could think of: each is noticed, by name.
 
 Whoever tampers here also writes the SHA-256 of what was changed anew, so that it is the numbers that give it away;
-:data:`CHECKSUMS` are the changes that no number contradicts.
+``CHECKSUMS`` are the changes that no number contradicts.
 """
 
 from __future__ import annotations

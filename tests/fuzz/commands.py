@@ -42,7 +42,7 @@ ODD = ["+nothing=1", "+scenario.nothing=1", "+buffer.sampler=x", "~seed", "~scen
 
 
 class TooLong(BaseException):
-    """Still at work after :data:`LONGEST` seconds."""
+    """Still at work after ``LONGEST`` seconds."""
 
 
 def overrides_of(rng: random.Random, name: str) -> list[str]:

@@ -118,5 +118,5 @@ def _once(rng: random.Random, node: Any) -> Any:
 
 
 def array_of(rng: random.Random, array: np.ndarray) -> np.ndarray:
-    """As :func:`value_of` for an array, always an array."""
+    """As ``value_of`` for an array, always an array."""
     return _tensor(rng, torch.from_numpy(array.copy())).numpy()

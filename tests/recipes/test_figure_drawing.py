@@ -29,7 +29,7 @@ def study(*overrides: str) -> Study:
 
 
 def fill(figure: str, made: Study, store: CellStore) -> None:
-    """Give every cell of a figure a made-up result: AAR of :data:`AAR` and a little of the seed's."""
+    """Give every cell of a figure a made-up result: AAR of ``AAR`` and a little of the seed's."""
     for cell in with_needs(FIGURES[figure].cells(made)):
         seeds = [str(seed) for seed in cell.spec.get("seeds", [])]
         if cell.kind == "evaluation":

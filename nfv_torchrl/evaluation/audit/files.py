@@ -76,7 +76,7 @@ class Request(NamedTuple):
 
     @property
     def departure(self) -> int:
-        """Slot at whose beginning it leaves; lifetimes past all horizons count as :data:`LONGEST_STAY`."""
+        """Slot at whose beginning it leaves; lifetimes past all horizons count as ``LONGEST_STAY``."""
         return self.slot + min(max(1, math.ceil(self.lifetime)), LONGEST_STAY)
 
 

@@ -14,7 +14,7 @@ class UnreadableRun(Exception):
 
 
 class Problems:
-    """Collects problems in the order found; past :data:`MOST_SHOWN` it only counts them."""
+    """Collects problems in the order found; past ``MOST_SHOWN`` it only counts them."""
 
     def __init__(self) -> None:
         self._shown: list[str] = []

@@ -36,7 +36,7 @@ class _State:
 
 
 class Rejections:
-    """Answers :meth:`reasons` for one run.
+    """Answers ``reasons`` for one run.
 
     Args:
         files: the run.
