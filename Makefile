@@ -56,5 +56,5 @@ $(READY): pyproject.toml constraints.txt
 		exit 1; }
 	@echo 'Setting up $(VENV) (minutes the first time)'
 	@$(PYTHON) -m venv $(VENV)
-	@$(VENV)/bin/python -m pip install 2>&1 | grep -v INFO || true $(PIP_ARGS) -c constraints.txt -e '.[dev]'
+	@$(VENV)/bin/python -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev]'
 	@touch $@
