@@ -12,6 +12,7 @@ beyond the imports is a failure; it is printed with the number that makes it aga
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import sys
 import time
@@ -58,10 +59,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     seconds = given.seconds if given.cases is None else float("inf")
     counted: Counter[tuple[str, str]] = Counter()
-    for outcome in fuzz(given.what, seconds=seconds, cases=given.cases, first=given.first, only=given.only):
-        counted[outcome.kind, outcome.verdict] += 1
-        if outcome.failed:
-            print(f"{outcome.kind} {outcome.number}: {outcome.verdict}\n{outcome.detail}\n", flush=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        for outcome in fuzz(given.what, seconds=seconds, cases=given.cases, first=given.first, only=given.only):
+            counted[outcome.kind, outcome.verdict] += 1
+            if outcome.failed:
+                print(f"{outcome.kind} {outcome.number}: {outcome.verdict}\n{outcome.detail}\n", flush=True)
     for (kind, verdict), times in sorted(counted.items()):
         print(f"{kind:24} {verdict:12} {times:6}")
     return int(any(verdict not in ("loaded", "refused") for _, verdict in counted))
