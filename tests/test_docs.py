@@ -1,15 +1,83 @@
-"""The documentation builds without a warning and leaves out no part of the package."""
+"""The documentation builds without a warning, leaves out no part of the package, and prints what works."""
+
+from __future__ import annotations
 
 import os
 import pkgutil
+import re
+import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from string import Template
+
+import pytest
 
 import nfv_torchrl
+from nfv_torchrl.cli import recipe_names
+from nfv_torchrl.settings.recipes import RECIPES, check_recipe
 
 ROOT = Path(__file__).parents[1]
-NOT_FOR_USERS = {"cli", "files", "folders", "inputs", "locks"}
+NOT_FOR_USERS = {"cli", "files", "folders", "inputs", "locks", "state_checks"}
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "runs" / "README.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+COMMAND = re.compile(
+    r"^\s*(?:(?:\.venv/bin/)?python recipes/(?P<file>\w+)\.py|nfv-torchrl run (?P<name>\w+))(?P<rest>.*)$"
+)
+VARIABLE = re.compile(r"^(?P<name>[A-Z]+)=(?P<value>[\"'].*)$")
+
+
+def pages_with_links() -> Iterator[tuple[Path, str]]:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+            if not target.startswith(("http://", "https://", "mailto:")):
+                yield page, target
+
+
+def anchors(page: Path) -> set[str]:
+    """What a link to a heading of ``page`` may say after the ``#``."""
+    titles = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in titles}
+
+
+def printed_lines(page: Path) -> list[str]:
+    """The lines of a page's code blocks, continued lines joined."""
+    blocks = re.findall(r"^ *```\w*\n(.*?)^ *```", page.read_text(), re.MULTILINE | re.DOTALL)
+    return [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+
+
+def printed_commands(page: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Recipe and arguments of every command that a page prints; shell variables that it sets are filled in."""
+    variables: dict[str, str] = {}
+    for line in printed_lines(page):
+        if found := VARIABLE.match(line):
+            variables[found["name"]] = shlex.split(Template(found["value"]).safe_substitute(variables), comments=True)[
+                0
+            ]
+        elif found := COMMAND.match(line):
+            rest = Template(found["rest"]).safe_substitute(variables)
+            yield found["file"] or found["name"], tuple(shlex.split(rest, comments=True))
+
+
+ALL_COMMANDS = sorted({command for page in PAGES for command in printed_commands(page)})
+
+
+def can_be_composed(name: str, arguments: tuple[str, ...]) -> bool:
+    """Whether a command is Hydra's, without placeholders and without a config folder that only a reader has."""
+    return name in RECIPES and "--config-dir" not in arguments and not re.search(r"\$|\.\.\.", " ".join(arguments))
+
+
+def one_of_the_sweep(arguments: tuple[str, ...]) -> list[str]:
+    """The overrides of the first run that ``-m`` starts."""
+    if "-m" not in arguments:
+        return list(arguments)
+    overrides = [argument for argument in arguments if argument != "-m" and not argument.startswith("hydra/")]
+    return [re.sub(r"^([^=]+=[^,\[{]*),.*$", r"\1", override) for override in overrides]
 
 
 def test_the_site_builds_without_a_warning(tmp_path):
@@ -19,9 +87,35 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert done.returncode == 0 and "WARNING" not in done.stderr, done.stdout + done.stderr
     losses = (tmp_path / "site" / "api" / "losses.html").read_text()
     assert "nfv_torchrl.losses.dqn.DQN" in losses
+    assert r'class="arithmatex">\[' in losses and ".. math" not in losses  # formulas are shown as formulas
 
 
 def test_every_room_has_its_page_in_the_reference():
     written = "".join(path.read_text() for path in (ROOT / "docs" / "api").glob("*.md"))
     rooms = {module.name for module in pkgutil.iter_modules(nfv_torchrl.__path__)} - NOT_FOR_USERS
     assert not {room for room in rooms if f"::: nfv_torchrl.{room}\n" not in written}
+
+
+def test_links_lead_somewhere():
+    lost = []
+    for page, target in pages_with_links():
+        file, _, anchor = target.partition("#")
+        other = (page.parent / file).resolve() if file else page
+        if not other.exists() or (anchor and anchor not in anchors(other)):
+            lost.append(f"{page.relative_to(ROOT)}: {target}")
+    assert not lost
+
+
+def test_recipes_that_are_named_exist():
+    assert {name for name, _ in ALL_COMMANDS} <= set(recipe_names())
+    named = {name for page in PAGES for name in re.findall(r"recipes/(\w+)\.py", page.read_text())}
+    assert named <= set(recipe_names())
+
+
+@pytest.mark.parametrize(
+    "recipe", sorted({name for name, arguments in ALL_COMMANDS if can_be_composed(name, arguments)})
+)
+def test_commands_that_are_printed_would_start(recipe):
+    for name, arguments in ALL_COMMANDS:
+        if name == recipe and can_be_composed(name, arguments):
+            check_recipe(name, one_of_the_sweep(arguments), ROOT / "recipes")
