@@ -71,7 +71,7 @@ class NFVEnv(EnvBase):
     ) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([batch_size]))
         self.simulator = Simulator(scenarios, batch_size, one_hot=one_hot, threads=threads)
-        self.reward = reward or rewards.admission_step_cost
+        self.reward = rewards.prepared(reward, self.simulator)
         self.cost_scale = rewards.cost_scale(self.simulator.tables, self.simulator.world.env["net"])
         self.parts = (RequestObservation(),) if observations is None else tuple(observations)
         self._loader = Loader(self.simulator) if stagger else None

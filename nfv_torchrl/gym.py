@@ -60,7 +60,7 @@ class NFVGymEnv(gymnasium.Env[np.ndarray, np.int64]):
             scenario = paper_scenario()
         self.scenario = scenario if isinstance(scenario, Scenario) else Scenario.from_config(scenario)
         self.simulator = Simulator(self.scenario, 1, one_hot=one_hot)
-        self.reward = reward or rewards.admission_step_cost
+        self.reward = rewards.prepared(reward, self.simulator)
         self.cost_scale = rewards.cost_scale(self.simulator.tables, self.simulator.world.env["net"])
         self._seed = seed
         self._episode = -1

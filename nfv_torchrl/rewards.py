@@ -2,7 +2,8 @@
 
 A reward is any callable ``reward(outcome, scale) -> float64 [B]``. ``outcome`` maps the names of
 ``nfv_torchrl.simulator.OUTCOME`` to float64 [B]; ``scale`` holds the costs that make weights plain numbers. In a
-recipe's yaml a reward is a ``_target_`` with ``_partial_: true``, so a function of your own package works as well.
+recipe's yaml a reward is a ``_target_`` with ``_partial_: true``, so a function of your own package works as well. So
+does a class, without ``_partial_``: its ``prepare(simulator)``, if it has one, is called before the first step.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.tables import Tables
 
 
@@ -26,6 +28,14 @@ class CostScale(NamedTuple):
 
 
 Reward = Callable[[Mapping[str, np.ndarray], CostScale], np.ndarray]
+
+
+def prepared(reward: Reward | None, simulator: Simulator) -> Reward:
+    """``reward`` ready for the networks of ``simulator``; without one, ``admission_step_cost``."""
+    reward = reward or admission_step_cost
+    if hasattr(reward, "prepare"):
+        reward.prepare(simulator)
+    return reward
 
 
 def paper(

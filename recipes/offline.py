@@ -34,6 +34,7 @@ from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.finite import check_learning
+from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.recording import Dataset
@@ -87,17 +88,11 @@ def main(cfg: DictConfig) -> None:
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 
     def update() -> TensorDictBase:
-        """One gradient step; returns what the loss says, and the gradient norm, without waiting for them."""
-        values = loss(buffer.sample())
-        total = sum(value for key, value in values.items() if key.startswith("loss"))
-        optimizer.zero_grad()
-        total.backward()
-        limit = cfg.learner.max_grad_norm or float("inf")
-        norm = torch.nn.utils.clip_grad_norm_(loss.parameters(), limit)
-        optimizer.step()
+        """One gradient step and one of the target network; what ``torch.compile`` gets."""
+        learned = gradient_step(loss, optimizer, buffer.sample(), cfg.learner.max_grad_norm)
         if updater is not None:
             updater.step()
-        return values.detach().update({"loss": total.detach(), "gradient_norm": norm.detach()})
+        return learned
 
     if cfg.learner.compile:
         update = torch.compile(update)

@@ -2,6 +2,7 @@
 
     python recipes/policy_gradient.py                    # PPO, scenario=paper
     python recipes/policy_gradient.py pg_loss=reinforce scenario=heavy scenario.admission_control=true
+    python recipes/policy_gradient.py env=nfvdeep        # NFVdeep (Xiao et al. 2019): one function a decision
     python recipes/policy_gradient.py run_dir=runs/policy_gradient resume=true
 
 The policy explores by sampling from its own masked distribution; evaluations take its most probable action.
@@ -15,21 +16,17 @@ import time
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
 from tqdm import tqdm
 
-from nfv_torchrl.env import NFVEnv
-from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import PolicyGradientSettings, read_settings
-from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.finite import check_learning
+from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
-from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.room import check_environments
 from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
@@ -47,32 +44,23 @@ def main(cfg: DictConfig) -> None:
     check_environments(scenario, cfg.collector.num_envs, cfg.collector.steps)
     folder = RunFolder(config, [scenario])
 
-    # Loss first: it makes the networks, whose observations the environment has to emit.
-    sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
+    # What one decision is; the loss then makes the networks, whose observations the environment has to emit.
+    decisions = instantiate(cfg.env)
+    sizes = decisions.sizes(scenario, one_hot=cfg.one_hot)
     loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
-    env = NFVEnv(
+    env = decisions.environment(
         scenario,
         cfg.collector.num_envs,
+        loss,
         reward=instantiate(cfg.reward),
         one_hot=cfg.one_hot,
-        observations=q_network(loss).observations(),
         stagger=cfg.stagger,
         segment=cfg.segment,
         seed=cfg.seed,
         threads=cfg.env_threads,
     )
+    method = decisions.method(loss, one_hot=cfg.one_hot)
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
-
-    def update(rows: TensorDictBase) -> TensorDictBase:
-        """One gradient step; returns what the loss says, and the gradient norm, without waiting for them."""
-        values = loss(rows)
-        total = sum(value for key, value in values.items() if key.startswith("loss"))
-        optimizer.zero_grad()
-        total.backward()
-        limit = cfg.learner.max_grad_norm or float("inf")
-        norm = torch.nn.utils.clip_grad_norm_(loss.parameters(), limit)
-        optimizer.step()
-        return values.detach().set("gradient_norm", norm.detach())
 
     progress = Progress()
     window = TrainingWindow(tuple(kind.name for kind in scenario.catalogue.types), scenario.warmup)
@@ -117,7 +105,7 @@ def main(cfg: DictConfig) -> None:
             rows = loss.prepare(data.to(device))
             for _ in range(cfg.learner.epochs):
                 for picked in torch.randperm(len(rows), device=device).split(cfg.learner.minibatch):
-                    learning = update(rows[picked])
+                    learning = gradient_step(loss, optimizer, rows[picked], cfg.learner.max_grad_norm)
                     progress.updates += 1
             progress.learning_seconds += time.perf_counter() - started
             check_learning(learning, progress)
@@ -133,14 +121,14 @@ def main(cfg: DictConfig) -> None:
                 )
                 window.reset()
             if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
-                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
             if progress.iteration % cfg.checkpoint.interval == 0:
                 folder.save(state, progress.frames)
             bar.update(progress.frames - bar.n)
 
     bar.close()
     if cfg.eval.interval and not stop.asked and progress.iteration % cfg.eval.interval:
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
     folder.save(state, progress.frames)
     logger.close()
     collector.shutdown()

@@ -76,10 +76,13 @@ def test_reward_is_income_less_cost():
     income = 4 * (16 / 6 * 30 + 2 * 1)
     solo = 4 * (16 / 6 * 20 + 2 * 2)
     outcome = {"service": np.array([DUO]), "request_cost": np.array([55.0]), "accepted": np.array([1.0])}
-    assert Profit(simulator, relative=True)(outcome, None).item() == pytest.approx(1 - 55 / income)
+    profit, relative = Profit(), Profit(relative=True)
+    for reward in (profit, relative):
+        reward.prepare(simulator)
+    assert relative(outcome, None).item() == pytest.approx(1 - 55 / income)
     expected = (income - 55) / ((income + solo) / 2)
-    assert Profit(simulator)(outcome, None).item() == pytest.approx(expected)
-    assert Profit(simulator)(outcome | {"accepted": np.zeros(1)}, None).item() == 0
+    assert profit(outcome, None).item() == pytest.approx(expected)
+    assert profit(outcome | {"accepted": np.zeros(1)}, None).item() == 0
 
 
 def test_observation_by_hand():

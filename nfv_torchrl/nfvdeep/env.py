@@ -14,6 +14,7 @@ from nfv_torchrl.nfvdeep.draft_checks import restore_drafts
 from nfv_torchrl.nfvdeep.drafts import advance, begin_env, make_drafts
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
 from nfv_torchrl.nfvdeep.reward import Profit
+from nfv_torchrl.rewards import Reward
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.state_checks import check_arrays
 
@@ -28,11 +29,11 @@ class NFVdeepEnv(NFVEnv):
         scenarios: as for ``NFVEnv``; reject is always possible in the simulator, so that a failed plan can be refused.
         batch_size: B.
         planner: how plans are made of decisions.
-        markup: see ``Profit``.
-        relative: see ``Profit``.
+        reward: as for ``NFVEnv``; default ``Profit``.
         stagger: as for ``NFVEnv``.
         segment: as for ``NFVEnv``.
         seed: as for ``NFVEnv``.
+        threads: as for ``NFVEnv``.
 
     Keys: those of ``NFVEnv`` but for (shapes after the batch dimension)
         ``observation`` float32 [4 N + 4]: free VM capacity of each node and free capacity of its links, less what the
@@ -48,19 +49,26 @@ class NFVdeepEnv(NFVEnv):
         batch_size: int = 1,
         *,
         planner: NFVdeepPlanner | None = None,
-        markup: float = 4.0,
-        relative: bool = False,
+        reward: Reward | None = None,
         stagger: bool = False,
         segment: int | None = None,
         seed: int = 0,
+        threads: int = 1,
     ) -> None:
         scenarios = (scenarios,) if isinstance(scenarios, Scenario) else scenarios
         self.planner = planner or NFVdeepPlanner()
         scenarios = [scenario.replace(admission_control=True) for scenario in scenarios]
         super().__init__(
-            scenarios, batch_size, one_hot=False, observations=(), stagger=stagger, segment=segment, seed=seed
+            scenarios,
+            batch_size,
+            reward=reward or Profit(),
+            one_hot=False,
+            observations=(),
+            stagger=stagger,
+            segment=segment,
+            seed=seed,
+            threads=threads,
         )
-        self.reward = Profit(self.simulator, markup=markup, relative=relative)
 
     @property
     def num_actions(self) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from nfv_torchrl.rewards import CostScale
+from nfv_torchrl.settings.values import NotNegative
 from nfv_torchrl.simulator import Simulator
 
 
@@ -18,21 +19,25 @@ class Profit:
     phi that the ledger charges.
 
     Args:
-        simulator: where substrates, services and the environments' substrates are taken from.
         markup: the larger, the more acceptance counts beside cost. Below 3 or so accepting can be a loss.
         relative: divide by the request's own income, so that every request counts alike (1 - cost / income at most 1);
             otherwise by the mean income of the services, so that large requests count for more.
 
-    A call takes ``outcome`` as a ``nfv_torchrl.rewards.Reward`` does (the scale is not used) and returns float64 [B].
+    It is a ``nfv_torchrl.rewards.Reward`` that an environment prepares; the scale is not used.
     """
 
-    def __init__(self, simulator: Simulator, *, markup: float = 4.0, relative: bool = False) -> None:
+    def __init__(self, *, markup: NotNegative = 4.0, relative: bool = False) -> None:
+        self.markup, self.relative = markup, relative
+
+    def prepare(self, simulator: Simulator) -> None:
+        """Take unit prices and services, and which environment has which substrate, from ``simulator``."""
         tables = simulator.tables
         vms = _mean_where(tables.vm_unit_cost, tables.vm_capacity > 0)
         links = _mean_where(tables.link_unit_cost, tables.link_capacity > 0)
         vm_part = vms[:, None] * tables.load.sum(axis=1)
-        self.income = markup * (vm_part + links[:, None] * tables.rate)[simulator.world.env["net"]]
-        self.scale = self.income if relative else np.broadcast_to(self.income.mean(1, keepdims=True), self.income.shape)
+        self.income = self.markup * (vm_part + links[:, None] * tables.rate)[simulator.world.env["net"]]
+        mean = np.broadcast_to(self.income.mean(1, keepdims=True), self.income.shape)
+        self.scale = self.income if self.relative else mean
 
     def __call__(self, outcome: Mapping[str, np.ndarray], scale: CostScale) -> np.ndarray:
         """Reward of every environment's last step."""

@@ -50,7 +50,8 @@ World = Annotated[Mapped, Scenario()]
 Network = Annotated[Mapped, Target("sizes", "outputs", partial=True)]
 PlainNetwork = Annotated[Mapped, Target("sizes", "outputs", partial=None)]
 Loss = Annotated[Mapped, Target("network", "sizes")]
-Reward = Annotated[Mapped, Target("outcome", "scale", partial=True)]
+Reward = Annotated[Mapped, Target("outcome", "scale", partial="functions")]
+Decisions = Annotated[Mapped, Target()]
 Exploration = Annotated[Mapped, Target("frames", partial=True)]
 Updater = Annotated[Mapped, Target("loss_module", partial=True)]
 Networks = Annotated[Mapped, Target("scenario", partial=True)]
@@ -164,7 +165,7 @@ class DqnSettings(Run):
 
 @dataclass(frozen=True)
 class BatchLearner:
-    """The learner of ``policy_gradient`` and ``nfvdeep``."""
+    """The learner of ``policy_gradient``."""
 
     epochs: Count
     minibatch: Count
@@ -176,6 +177,7 @@ class BatchLearner:
 class PolicyGradientSettings(Run):
     """See ``config/policy_gradient.yaml``."""
 
+    env: Decisions
     network: Network
     loss: Loss
     reward: Reward
@@ -183,36 +185,6 @@ class PolicyGradientSettings(Run):
     threads: Threads
     env_threads: Threads
     one_hot: bool
-    stagger: bool
-    segment: Count | None
-    collector: Collector
-    learner: BatchLearner
-    logger: Logger
-    eval: HeldOut
-    checkpoint: Saving
-
-    def __post_init__(self) -> None:
-        check_segment(self.segment, self.stagger)
-
-
-@dataclass(frozen=True)
-class Income:
-    """The reward of NFVdeep, see ``nfv_torchrl.nfvdeep.reward``."""
-
-    markup: NotNegative
-    relative: bool
-
-
-@dataclass(frozen=True)
-class NFVdeepSettings(Run):
-    """See ``config/nfvdeep.yaml``."""
-
-    network: Network
-    loss: Loss
-    planner: Annotated[Mapped, Target("actor")]
-    reward: Income
-    device: str
-    threads: Threads
     stagger: bool
     segment: Count | None
     collector: Collector
@@ -557,7 +529,6 @@ RECIPES: dict[str, type] = {
     "evolution": EvolutionSettings,
     "figures": FiguresSettings,
     "milp_gap": MilpGapSettings,
-    "nfvdeep": NFVdeepSettings,
     "offline": OfflineSettings,
     "policy_gradient": PolicyGradientSettings,
     "transfer": TransferSettings,

@@ -13,7 +13,7 @@ import pkgutil
 import types
 import typing
 from collections.abc import Mapping
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.settings.values import PLAIN, Count, Rule, Share, join, parse, refuse, refuse_key, shown
@@ -33,10 +33,10 @@ class Target(Rule):
 
     Args:
         given: arguments that the recipe passes.
-        partial: whether ``_partial_: true`` belongs there, None: it may.
+        partial: whether ``_partial_: true`` belongs there; None: it may; ``functions``: to functions, not to classes.
     """
 
-    def __init__(self, *given: str, partial: bool | None = False) -> None:
+    def __init__(self, *given: str, partial: bool | Literal["functions"] | None = False) -> None:
         self.given, self.partial = given, partial
 
     def describe(self, kind: str) -> str:
@@ -45,8 +45,11 @@ class Target(Rule):
 
     def check(self, value: Any, where: str, expected: str) -> None:
         """See ``Rule``."""
-        if self.partial is not None and value.get("_partial_", False) is not self.partial:
-            refuse(f"{where}._partial_", value.get("_partial_", False), str(self.partial).lower())
+        wanted = self.partial
+        if wanted == "functions":
+            wanted = not inspect.isclass(_locate(value.get("_target_"), where))
+        if wanted is not None and value.get("_partial_", False) is not wanted:
+            refuse(f"{where}._partial_", value.get("_partial_", False), str(wanted).lower())
         check_target(value, where, self.given)
 
 

@@ -58,7 +58,7 @@ def policy_content(
         "network": dict(config["network"]),
         "loss": dict(config["loss"]),
         "one_hot": bool(config.get("one_hot", False)),
-        "planner": dict(config.get("planner") or {}),
+        "planner": dict((config.get("env") or {}).get("planner") or {}),
         "scenario": scenario.name,
         "mask": scenario.mask,
         "admission_control": scenario.admission_control,

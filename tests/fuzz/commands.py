@@ -23,8 +23,6 @@ RUN = {
     "dqn": [*TINY_SCENARIO, *TINY_TRAINING, "run_dir=run"],
     "policy_gradient": [*TINY_SCENARIO, "collector.num_envs=4", "collector.steps=8", "collector.total_frames=128",
                         "eval.seeds=[1000]", "logger.figures=false", "run_dir=run"],
-    "nfvdeep": [*TINY_SCENARIO, "collector.num_envs=4", "collector.steps=8", "collector.total_frames=128",
-                "eval.seeds=[1000]", "logger.figures=false", "run_dir=run"],
     "evaluate": [*TINY_SCENARIO, "method=[random,greedy]", "seeds=1", "output=run"],
 }  # fmt: skip
 """Recipes that are run for real, and how to make them small. What the case sets comes after that."""

@@ -27,7 +27,10 @@ from nfv_torchrl.experiments.cells import CellStore, make_cell, with_needs
 from nfv_torchrl.experiments.decision_time import Size, dqn_steps, greedy_steps, tabu_steps
 from nfv_torchrl.experiments.rows import gap_rows
 
-NFVDEEP = ["collector.num_envs=4", "collector.steps=8", "collector.total_frames=320", "eval.seeds=[1000]"]
+NFVDEEP = [
+    *("env=nfvdeep", "collector.num_envs=4", "collector.steps=8"),
+    *("collector.total_frames=320", "eval.seeds=[1000]"),
+]
 TINY = [
     *TINY_SCENARIO,
     "budget.seeds=2",

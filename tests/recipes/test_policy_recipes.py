@@ -33,7 +33,7 @@ RUNS = {
     "a2c": ("policy_gradient", ["pg_loss=a2c"]),
     "reinforce": ("policy_gradient", ["pg_loss=reinforce"]),
     "ppo on candidates": ("policy_gradient", ["network=candidate"]),
-    "nfvdeep": ("nfvdeep", []),
+    "nfvdeep": ("policy_gradient", ["env=nfvdeep"]),
     "gru": ("dqn", ["preset=recurrent", *BUFFER, "loss.burn_in=2"]),
 }
 LOGGED = {"ppo": "train/kl_approx", "a2c": "train/entropy", "reinforce": "train/loss_value", "gru": "train/td_error"}
@@ -68,7 +68,7 @@ def test_it_trains_resumes_to_the_bit_and_loads(name, tmp_path):
 
 def test_a_file_of_nfvdeep_is_refused_on_another_network(tmp_path):
     folder = tmp_path / "run"
-    call("nfvdeep", f"run_dir={folder}", *TINY, "collector.total_frames=32")
+    call("policy_gradient", "env=nfvdeep", f"run_dir={folder}", *TINY, "collector.total_frames=32")
     config = load_file(CheckpointFolder(folder).files()[-1])["config"]["scenario"]
     config["substrate"]["nodes"] = 6
     with pytest.raises(CheckpointError, match="6 actions"):

@@ -48,11 +48,10 @@ OFFLINE = [
 ARGUMENTS = {
     "dqn": [*SMALL, "buffer.size=100", "buffer.batch_size=8", "buffer.warmup_frames=8"],
     "policy_gradient": SMALL,
-    "nfvdeep": SMALL,
     "evolution": EVOLUTION,
     "offline": OFFLINE,
 }
-LEARNERS = ("dqn", "policy_gradient", "nfvdeep")
+LEARNERS = ("dqn", "policy_gradient")
 BAD = [
     *((name, "network.hidden=[-1]") for name in ARGUMENTS),
     *((name, "segment=0") for name in LEARNERS),
@@ -61,7 +60,8 @@ BAD = [
     *((name, "reward._target_=os.nothing") for name in ("dqn", "policy_gradient", "offline")),
     *((name, "target._target_=os.nothing") for name in ("dqn", "offline")),
     ("dqn", "exploration._target_=os.nothing"),
-    ("nfvdeep", "reward.markup=x"),
+    ("policy_gradient", "reward.w_cost=x"),
+    ("policy_gradient", "env._target_=os.nothing"),
     ("offline", "saving.keep=0"),
     ("offline", "record.num_envs=0"),
     ("offline", "dataset=."),

@@ -1,0 +1,77 @@
+"""What one decision of a policy is: a hop of the walk, or a function of the chain (NFVdeep); a recipe's ``env``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.evaluation.methods import Method, PlannerMethod
+from nfv_torchrl.networks import Sizes
+from nfv_torchrl.nfvdeep import NFVdeepEnv, NFVdeepPlanner
+from nfv_torchrl.rewards import Reward
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.acting import acting_method
+from nfv_torchrl.training.policies import q_network
+
+
+class HopDecisions:
+    """One hop a decision, with the next function placed there or not: ``NFVEnv``, the walk of Algorithm 3."""
+
+    def __init__(self) -> None:
+        """Nothing to set."""
+
+    def sizes(self, scenario: Scenario, *, one_hot: bool) -> Sizes:
+        """Sizes of what the policy sees and chooses from."""
+        return Sizes.of(Simulator(scenario, 1, one_hot=one_hot))
+
+    def environment(
+        self, scenarios: Scenario | Sequence[Scenario], batch_size: int, loss: Any, *, reward: Reward, **options: Any
+    ) -> NFVEnv:
+        """The environment that ``loss`` learns in; ``options`` are those of ``NFVEnv``."""
+        parts = q_network(loss).observations()
+        return NFVEnv(scenarios, batch_size, reward=reward, observations=parts, **options)
+
+    def method(self, loss: Any, *, one_hot: bool) -> Method:
+        """How the policy being learned answers requests in an evaluation."""
+        return acting_method(loss.actor, q_network(loss), one_hot=one_hot)
+
+
+class FunctionDecisions:
+    """One function a decision, shortest routes between: ``NFVdeepEnv`` (Xiao et al., "NFVdeep", IWQoS 2019).
+
+    Args:
+        planner: turns the policy's choices into plans.
+    """
+
+    def __init__(self, planner: NFVdeepPlanner) -> None:
+        self.planner = planner
+
+    def sizes(self, scenario: Scenario, *, one_hot: bool) -> Sizes:
+        """Sizes of what the policy sees and chooses from.
+
+        Raises:
+            ScenarioError: with ``one_hot``.
+        """
+        if one_hot:
+            raise ScenarioError("one_hot: true; env=nfvdeep has an observation of its own, set one_hot=false")
+        return self.planner.sizes(Simulator(scenario, 1))
+
+    def environment(
+        self,
+        scenarios: Scenario | Sequence[Scenario],
+        batch_size: int,
+        loss: Any,
+        *,
+        reward: Reward,
+        one_hot: bool = False,
+        **options: Any,
+    ) -> NFVdeepEnv:
+        """The environment that ``loss`` learns in; ``options`` are those of ``NFVdeepEnv``."""
+        return NFVdeepEnv(scenarios, batch_size, planner=self.planner, reward=reward, **options)
+
+    def method(self, loss: Any, *, one_hot: bool = False) -> Method:
+        """How the policy being learned answers requests in an evaluation."""
+        return PlannerMethod(self.planner.follow(loss.actor), name="nfvdeep")

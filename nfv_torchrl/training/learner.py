@@ -1,0 +1,36 @@
+"""The step that every learner takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDictBase
+from torch import nn
+
+
+def gradient_step(
+    loss: Callable[[TensorDictBase], TensorDictBase],
+    optimizer: torch.optim.Optimizer,
+    batch: TensorDictBase,
+    max_grad_norm: float | None = None,
+) -> TensorDictBase:
+    """Learn from one batch, without waiting for the numbers.
+
+    Args:
+        loss: a ``RequestLoss``; what it returns under names that begin with ``loss`` is summed and minimised.
+        optimizer: of the loss's parameters.
+        batch: rows of ``prepare``, [R].
+        max_grad_norm: clip the norm of the gradient to this; None: do not clip.
+
+    Returns:
+        What the loss says, all [], with ``loss``, the sum, and ``gradient_norm``, before clipping.
+    """
+    values = loss(batch)
+    total = sum(value for key, value in values.items() if key.startswith("loss"))
+    optimizer.zero_grad()
+    total.backward()
+    parameters = [weights for group in optimizer.param_groups for weights in group["params"]]
+    norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm or float("inf"))
+    optimizer.step()
+    return values.detach().update({"loss": total.detach(), "gradient_norm": norm.detach()})
