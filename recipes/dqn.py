@@ -36,8 +36,9 @@ from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.policies import load_weights, q_network
+from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.room import check_buffer, check_compiler, check_environments
-from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
+from nfv_torchrl.training.run import RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
@@ -154,20 +155,8 @@ def main(cfg: DictConfig) -> None:
             check_learning(learning, progress)
 
             if progress.iteration % cfg.logger.interval == 0:
-                metrics = window.metrics()
-                metrics |= progress.speeds()
-                metrics |= {
-                    "train/epsilon": float(explore.eps),
-                    "train/reward": float(data["next", "reward"].mean()),
-                }
-                metrics |= {f"train/{key}": float(value) for key, value in learning.items()}
-                if "chosen_action_value" in data:  # a stochastic policy has none
-                    metrics["train/chosen_q"] = float(data["chosen_action_value"].mean())
-                logger.scalars(metrics, progress.frames)
-                bar.set_postfix_str(
-                    f"AAR {metrics.get('train/aar', 0):.3f}  cost {metrics.get('train/cost_per_accepted', 0):.0f} $"
-                )
-                window.reset()
+                line = logger.iteration(progress, window, data, learning, epsilon=float(explore.eps))
+                bar.set_postfix_str(line)
             if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
                 evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
             if progress.iteration % cfg.checkpoint.interval == 0:

@@ -35,7 +35,8 @@ from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.finite import check_fitness
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import load_weights, policy_content
-from nfv_torchrl.training.run import Progress, RunFolder
+from nfv_torchrl.training.progress import Progress
+from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.setup import StopRequest, seed_everything, set_threads
 
 

@@ -37,9 +37,10 @@ from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import q_network
+from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.recording import Dataset
 from nfv_torchrl.training.room import check_compiler, check_environments
-from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
+from nfv_torchrl.training.run import RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 

@@ -27,8 +27,9 @@ from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.room import check_environments
-from nfv_torchrl.training.run import Progress, RunFolder, evaluate_policy
+from nfv_torchrl.training.run import RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
@@ -111,15 +112,7 @@ def main(cfg: DictConfig) -> None:
             check_learning(learning, progress)
 
             if progress.iteration % cfg.logger.interval == 0:
-                metrics = window.metrics()
-                metrics |= progress.speeds()
-                metrics |= {f"train/{key}": float(value) for key, value in learning.items()}
-                metrics["train/reward"] = float(data["next", "reward"].mean())
-                logger.scalars(metrics, progress.frames)
-                bar.set_postfix_str(
-                    f"AAR {metrics.get('train/aar', 0):.3f}  cost {metrics.get('train/cost_per_accepted', 0):.0f} $"
-                )
-                window.reset()
+                bar.set_postfix_str(logger.iteration(progress, window, data, learning))
             if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
                 evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
             if progress.iteration % cfg.checkpoint.interval == 0:

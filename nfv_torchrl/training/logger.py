@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+from tensordict import TensorDictBase
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
+
+from nfv_torchrl.training.progress import Progress
+from nfv_torchrl.training.window import TrainingWindow
 
 
 class RunLogger:
@@ -27,6 +31,36 @@ class RunLogger:
         """Log each value under its tag."""
         for tag, value in values.items():
             self.writer.add_scalar(tag, value, frames)
+
+    def iteration(
+        self,
+        progress: Progress,
+        window: TrainingWindow,
+        data: TensorDictBase,
+        learning: TensorDictBase,
+        **more: float,
+    ) -> str:
+        """Log what an iteration of a training has to say, and begin the next window.
+
+        Args:
+            progress: how far the run is, and how fast.
+            window: what happened to the requests since the last call.
+            data: the collected batch, [B, T].
+            learning: what the last gradient step said, all [].
+            more: further numbers, such as ``epsilon``.
+
+        Returns:
+            A few words for a progress bar.
+        """
+        values = window.metrics() | progress.speeds()
+        more["reward"] = float(data["next", "reward"].mean())
+        if "chosen_action_value" in data.keys():  # noqa: SIM118  a TensorDict iterates its batch; Q-actors alone have it
+            more["chosen_q"] = float(data["chosen_action_value"].mean())
+        more |= {key: float(value) for key, value in learning.items()}
+        values |= {f"train/{key}": value for key, value in more.items()}
+        self.scalars(values, progress.frames)
+        window.reset()
+        return f"AAR {values.get('train/aar', 0):.3f}  cost {values.get('train/cost_per_accepted', 0):.0f} $"
 
     def figure(self, tag: str, figure: Figure, frames: int) -> None:
         """Log a matplotlib figure as an image, and close it."""

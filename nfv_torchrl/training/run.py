@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +25,13 @@ from nfv_torchrl.locks import Lock
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.values import list_of_seeds
-from nfv_torchrl.state_checks import check_keys, check_real, check_whole
 from nfv_torchrl.training.acting import acting_method
 from nfv_torchrl.training.checking import check_parts, load_part
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.finite import check_weights
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.policies import policy_content, q_network, save_policy
+from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.setup import quote, run_folder
 
 MAY_CHANGE = (
@@ -42,52 +40,6 @@ MAY_CHANGE = (
 )  # fmt: skip
 """Config keys that a resumed run may set anew."""
 _NOT_PLAIN = r"[^\w./+-]"
-
-
-@dataclass
-class Progress:
-    """How far a run is. ``best_*`` belong to the policy kept in ``best.pt``."""
-
-    iteration: int = 0
-    frames: int = 0
-    updates: int = 0
-    best_fitness: float = float("-inf")  # of evolution; other recipes go by AAR and cost
-    best_aar: float = -1.0
-    best_cost: float = float("inf")
-    best_frames: int = 0
-    learning_seconds: float = field(default=0.0, repr=False)
-    _since: tuple[float, int, int, float] = field(default=(0.0, 0, 0, 0.0), repr=False)
-
-    def speeds(self) -> dict[str, float]:
-        """Frames/s of training and updates/s of the learner alone, since the last call."""
-        now = (time.perf_counter(), self.frames, self.updates, self.learning_seconds)
-        before, self._since = self._since, now
-        if before[0] == 0.0:
-            return {}
-        values = {"speed/frames_per_second": (now[1] - before[1]) / (now[0] - before[0])}
-        if now[3] > before[3]:
-            values["speed/updates_per_second"] = (now[2] - before[2]) / (now[3] - before[3])
-        return values
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything but the clocks."""
-        return {key: value for key, value in asdict(self).items() if key not in ("_since", "learning_seconds")}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from ``state_dict()``.
-
-        Raises:
-            CheckpointError: a number is missing, or is none that counts something.
-        """
-        own = self.state_dict()
-        check_keys("progress", state, own)
-        for key, value in own.items():
-            if isinstance(value, int):
-                check_whole(f"progress.{key}", state[key], 0, 2**62)
-            else:
-                check_real(f"progress.{key}", state[key], finite=False)
-        for key in own:
-            setattr(self, key, state[key])
 
 
 class RunFolder:

@@ -18,7 +18,8 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
 from nfv_torchrl.training.policies import load_policy
-from nfv_torchrl.training.run import Progress, evaluate_policy
+from nfv_torchrl.training.progress import Progress
+from nfv_torchrl.training.run import evaluate_policy
 
 CHOICES = {
     "dqn": ["loss=dqn"],

@@ -15,7 +15,8 @@ from nfv_torchrl.losses import DQN
 from nfv_torchrl.networks import MLPNetwork, Sizes
 from nfv_torchrl.training.checking import check_parts, load_part
 from nfv_torchrl.training.checkpoint import CheckpointFolder
-from nfv_torchrl.training.run import Progress, RunFolder
+from nfv_torchrl.training.progress import Progress
+from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.window import TrainingWindow
 
 SIZES = Sizes(observation=3, actions=2, services=2, candidate_features=0)

@@ -13,7 +13,7 @@ from nfv_torchrl.errors import ScenarioError, TrainingError
 from nfv_torchrl.scenario.scenario import paper_scenario
 from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
 from nfv_torchrl.training.finite import check_fitness, check_learning, check_weights
-from nfv_torchrl.training.run import Progress
+from nfv_torchrl.training.progress import Progress
 
 AT = Progress(frames=640, updates=7)
 
