@@ -12,10 +12,12 @@ ARGS ?=
 JOBS ?= 2
 # Where the run goes: run_dir=... among ARGS, otherwise runs/dqn.
 RUN := $(or $(patsubst run_dir=%,%,$(filter run_dir=%,$(ARGS))),runs/dqn)
+# Beside the run and not inside it, since a run is moved and deleted as a whole.
+EVALUATION := $(RUN)_evaluation
 TRAIN_ARGS := run_dir=$(RUN) $(filter-out run_dir=%,$(ARGS))
 # The comparison is made on the network that was trained on, so it gets the scenario's overrides and no others.
 EVALUATE_ARGS := method=[random,random_feasible,greedy,checkpoint] checkpoint=$(RUN)/best.pt seeds=10 \
-	output=$(RUN)/evaluation $(filter scenario=% scenario.%,$(ARGS))
+	output=$(EVALUATION) $(filter scenario=% scenario.%,$(ARGS))
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -34,7 +36,7 @@ train: $(READY)  ## Train a DQN on the default network, then compare it with the
 	@echo
 	@echo 'Curves:      $(VENV)/bin/tensorboard --logdir $(RUN)'
 	@echo 'Checkpoint:  $(RUN)/best.pt'
-	@echo 'Evaluation:  $(RUN)/evaluation'
+	@echo 'Evaluation:  $(EVALUATION)'
 
 test: $(READY)  ## Run the tests (ARGS go to pytest)
 	$(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)

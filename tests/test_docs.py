@@ -16,6 +16,7 @@ import pytest
 
 import nfv_torchrl
 from nfv_torchrl.cli import recipe_names
+from nfv_torchrl.folders import claim
 from nfv_torchrl.settings.recipes import RECIPES, check_recipe
 
 ROOT = Path(__file__).parents[1]
@@ -119,3 +120,16 @@ def test_commands_that_are_printed_would_start(recipe):
     for name, arguments in ALL_COMMANDS:
         if name == recipe and can_be_composed(name, arguments):
             check_recipe(name, one_of_the_sweep(arguments), ROOT / "recipes")
+
+
+def test_make_train_sets_up_trains_and_evaluates_in_folders_of_their_own(tmp_path, monkeypatch):
+    done = subprocess.run(["make", "-nB", "train"], cwd=ROOT, capture_output=True, text=True, check=True)
+    lines = done.stdout.replace("\\\n", " ").splitlines()
+    assert [line for line in lines if re.search(r"-m pip install [^|]*-c constraints.txt -e '\.\[dev\]'$", line)]
+    commands = {found["file"]: shlex.split(found["rest"]) for line in lines if (found := COMMAND.match(line))}
+    for name, arguments in commands.items():
+        check_recipe(name, arguments, ROOT / "recipes")
+    folders = {name: dict(text.split("=", 1) for text in arguments) for name, arguments in commands.items()}
+    monkeypatch.chdir(tmp_path)
+    claim("run_dir", Path(folders["dqn"]["run_dir"]), "run").release()
+    claim("output", Path(folders["evaluate"]["output"]), "evaluation").release()
