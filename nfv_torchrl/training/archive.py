@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from nfv_torchrl.errors import CheckpointError
+from nfv_torchrl.scenario.quoting import one_line as quoted
 
 PLAIN = (type(None), bool, int, float, str, bytes)
 """Values that a file may hold beside tensors, lists, tuples and dicts."""
@@ -46,7 +47,7 @@ def check_archive(path: Path, largest: int) -> None:
             raise CheckpointError(f"{path} says that it holds more bytes than it has; it is no checkpoint")
         damaged = archive.testzip()
     if damaged is not None:
-        raise CheckpointError(f"checkpoint {path} is damaged (at {damaged}); use an older one")
+        raise CheckpointError(f"checkpoint {path} is damaged (at {quoted(damaged)}); use an older one")
 
 
 def check_values(path: Path, content: Any) -> None:
