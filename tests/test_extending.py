@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -49,6 +50,18 @@ def test_the_page_has_all_its_examples(folder):
     files = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     assert {f"my_pkg/{name}.py" for name in ("losses", "networks", "rewards", "planners", "topologies")} <= files
     assert len(COMMANDS) == 7
+
+
+def test_the_checks_that_are_printed_pass(folder):
+    checks = [
+        check
+        for path in sorted((folder / "tests").glob("test_*.py"))
+        for name, check in runpy.run_path(str(path)).items()
+        if name.startswith("test_")
+    ]
+    assert len(checks) >= 3
+    for check in checks:
+        check()
 
 
 @pytest.mark.parametrize("command", COMMANDS)
