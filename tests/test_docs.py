@@ -109,7 +109,7 @@ def test_links_lead_somewhere():
 
 def test_recipes_that_are_named_exist():
     assert {name for name, _ in ALL_COMMANDS} <= set(recipe_names())
-    named = {name for page in PAGES for name in re.findall(r"recipes/(\w+)\.py", page.read_text())}
+    named = {name for page in PAGES for name in re.findall(r"recipes/([a-z_]+)\.py", page.read_text())}
     assert named <= set(recipe_names())
 
 
