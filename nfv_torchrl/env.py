@@ -13,9 +13,9 @@ from torchrl.envs import EnvBase
 from nfv_torchrl import rewards
 from nfv_torchrl.errors import CheckpointError, ScenarioError
 from nfv_torchrl.observations import MemoryObservation, ObservationPart, RequestObservation, read_observation
-from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import LARGEST_SEED, Stream, check_seed, generator
+from nfv_torchrl.search.loading import Loader
 from nfv_torchrl.simulator import OUTCOME, REASON_NAMES, Simulator
 from nfv_torchrl.simulator.reasons import NO_REASON
 from nfv_torchrl.simulator.snapshot import restore_snapshot, take_snapshot

@@ -40,8 +40,8 @@ from nfv_torchrl.evaluation.runner import scenario_for
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.files import read_json, write_atomically
 from nfv_torchrl.folders import claim_file
-from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.search.loading import Loader
 from nfv_torchrl.settings.recipes import BenchmarkSettings, read_settings
 from nfv_torchrl.simulator import Simulator, kernels
 from nfv_torchrl.simulator.state import REQUEST_DONE, grow_pools

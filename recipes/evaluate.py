@@ -22,6 +22,7 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
+from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.errors import AuditError, ScenarioError
 from nfv_torchrl.evaluation.audit import audit_folders, find_runs
 from nfv_torchrl.evaluation.comparison import Comparison
@@ -30,7 +31,6 @@ from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import render, write_summary
 from nfv_torchrl.folders import claim
-from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvaluateSettings, read_settings
 from nfv_torchrl.settings.values import list_of_seeds

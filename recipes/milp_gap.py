@@ -17,10 +17,10 @@ import numpy as np
 from tqdm import tqdm
 
 from nfv_torchrl.evaluation.statistics import Interval, mean_interval
-from nfv_torchrl.planners.milp import Request, embed_request
+from nfv_torchrl.planners.milp import Request, embed_slot
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.settings.recipes import MilpGapSettings, read_settings
-from nfv_torchrl.simulator.tables import Rules, build_tables
+from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import clear_errors
 
 FULL_SHARES = ((0.0, 0.0), (0.4, 0.4), (0.9, 0.0), (0.9, 0.3))
@@ -31,21 +31,21 @@ MAX_STEPS = 100
 def compare(seed: int, full: tuple[float, float], colocation: bool, requests: int) -> tuple[float, float, float]:
     """Shares only the problem embeds and embeds more cheaply, and the mean extra cost of a walk, for one network."""
     scenario = paper_scenario(4 + seed % 5, seed)
-    tables = build_tables([scenario.substrate], scenario.catalogue)
+    world = Simulator(scenario.replace(colocation=colocation, max_steps=MAX_STEPS), 1).world
+    vms, links = world.ledger.vm_offered[0], world.ledger.link_offered[0]
     # The same draws in every row, so that rows differ by what is full and by nothing else.
     rng = np.random.default_rng(seed)
-    vms = tables.vm_capacity[0] * (rng.random(tables.vm_capacity[0].shape) >= full[0])
-    links = tables.link_capacity[0] * (rng.random(tables.link_capacity[0].size) >= full[1])
-    rules = Rules(colocation, False, False, MAX_STEPS)
+    vms *= rng.random(vms.shape) >= full[0]
+    links *= rng.random(links.size) >= full[1]
     only, cheaper, extra, possible = 0, 0, [], 0
     for _ in range(requests):
         ingress, egress = rng.choice(scenario.substrate.num_nodes, 2, replace=False).tolist()
         request = Request(int(rng.integers(len(scenario.catalogue.types))), ingress, egress)
-        free = embed_request(tables, rules, 0, vms, links, request, "problem")
+        (free,) = embed_slot(world, 0, [request], "problem")
         if free is None:
             continue
         possible += 1
-        walk = embed_request(tables, rules, 0, vms, links, request, "walk")
+        (walk,) = embed_slot(world, 0, [request], "walk")
         if walk is None:
             only += 1
             continue

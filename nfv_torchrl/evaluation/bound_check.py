@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
 from nfv_torchrl.scenario.files import read_run_folder
 
 BOUNDS = {"hindsight": hindsight_bound, "blind": blind_bound}

@@ -20,7 +20,6 @@ from torchrl.modules import MaskedCategorical, ProbabilisticActor, QValueActor
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.observations import ObservationPart, read_observation
 from nfv_torchrl.planners.base import Planner
-from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.simulator import Simulator
@@ -114,8 +113,9 @@ class PlannerMethod:
         self._rows = np.arange(simulator.batch_size)
         self._plans = np.zeros((simulator.batch_size, simulator.world.rules.max_steps), np.int64)
         self._lengths = np.zeros(simulator.batch_size, np.int64)
-        self._prepare_planner(simulator)
-        self._plan(simulator, self._rows[:0])
+        self.planner.prepare(simulator.world)
+        # A compiled planner compiles with its first call, be there nothing to plan.
+        self.planner.plan_rows(simulator.world, self._rows[:0], self._plans, self._lengths)
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """See ``Method``."""
@@ -123,43 +123,9 @@ class PlannerMethod:
         steps = env["steps"]
         fresh = np.flatnonzero((steps == 0) & (env["done"] == 0))
         if fresh.size:
-            self._plan(simulator, fresh)
+            self.planner.plan_rows(simulator.world, fresh, self._plans, self._lengths)
         reject = simulator.num_actions - 1
         return np.where(steps < self._lengths, self._plans[self._rows, steps], reject)
-
-    def _prepare_planner(self, simulator: Simulator) -> None:
-        self.planner.prepare(simulator.tables, simulator.world.rules)
-
-    def _plan(self, simulator: Simulator, rows: np.ndarray) -> None:
-        world, env = simulator.world, simulator.world.env
-        self.planner.plan_batch(
-            world.tables,
-            world.rules,
-            rows,
-            env["net"],
-            world.ledger.vm_offered,
-            world.ledger.link_offered,
-            env["service"],
-            env["ingress"],
-            env["egress"],
-            self._plans,
-            self._lengths,
-        )
-
-
-class LearnedPricesMethod(PlannerMethod):
-    """``LearnedPrices``, which sees the whole simulator: the load of the network, and lifetimes if they are shown."""
-
-    planner: LearnedPrices  # type: ignore[assignment]
-
-    def __init__(self, planner: LearnedPrices, *, name: str = "learned_prices") -> None:
-        self.planner, self.name = planner, name
-
-    def _prepare_planner(self, simulator: Simulator) -> None:
-        self.planner.prepare(simulator)
-
-    def _plan(self, simulator: Simulator, rows: np.ndarray) -> None:
-        self.planner.plan_rows(simulator, rows, self._plans, self._lengths)
 
 
 class PolicyMethod:

@@ -7,12 +7,12 @@ from torch import nn
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks.candidate import CandidateNetwork
-from nfv_torchrl.observations.candidates import CandidateObservation, finish_costs, reference_costs, write_row
-from nfv_torchrl.planners.compiled import kernel, part
-from nfv_torchrl.planners.playing import FINISHED, NO_ROOM, has_room, request_cost
+from nfv_torchrl.observations.candidates import candidate_shape, finish_costs, reference_costs, write_row
+from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, request_cost
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.kernels import step_env
-from nfv_torchrl.simulator.state import REQUEST_DONE
+from nfv_torchrl.simulator.state import REQUEST_DONE, World
 
 RELU, TANH = 0, 1
 
@@ -110,11 +110,11 @@ class CandidatePlay:
         widest = int(self._sizes.max())
         self._now, self._after = np.zeros(widest, np.float32), np.zeros(widest, np.float32)
 
-    def prepare(self, simulator: Simulator) -> None:
+    def prepare(self, world: World) -> None:
         """See ``Player``."""
-        self._to_go = finish_costs(simulator.tables, simulator.world.rules)
-        self._references = reference_costs(simulator.tables, self._to_go)
-        self._row = np.zeros(CandidateObservation.shape(simulator)[1], np.float32)
+        self._to_go = finish_costs(world.tables, world.rules)
+        self._references = reference_costs(world.tables, self._to_go)
+        self._row = np.zeros(candidate_shape(world.tables)[1], np.float32)
 
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
         """See ``Player``."""

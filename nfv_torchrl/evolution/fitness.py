@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.evolution.policies import Evolvable, Player
 from nfv_torchrl.evolution.tasks import Task
 from nfv_torchrl.networks.prices import PriceNetwork
-from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
 from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.simulator import Simulator
 
@@ -91,7 +91,7 @@ class Arena:
         """What every request of the task cost ($), float64 [R], NaN if it was not accepted."""
         simulator = Simulator(task.scenario, 1)
         simulator.start(0, task.workload, task.timeline)
-        player.prepare(simulator)
+        player.prepare(simulator.world)
         costs = np.full(len(task.workload), np.nan)
         player.play(simulator, 0, costs)
         return costs

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import LearnedPricesMethod, Method, PolicyMethod
+from nfv_torchrl.evaluation.methods import Method, PlannerMethod, PolicyMethod
 from nfv_torchrl.evolution.candidate_play import CandidatePlay
 from nfv_torchrl.losses.base import greedy_actor
 from nfv_torchrl.networks import CandidateNetwork, NetworkFactory, Sizes
@@ -23,13 +23,14 @@ from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.state import World
 
 
 class Player(Protocol):
     """Plays whole horizons with fixed weights."""
 
-    def prepare(self, simulator: Simulator) -> None:
-        """Called once for a simulator, before it plays there."""
+    def prepare(self, world: World) -> None:
+        """Called once for the world of a simulator, before it plays there."""
 
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
         """Answer all requests of environment b, whose horizon has begun.
@@ -102,9 +103,9 @@ class PricePolicy(Evolvable):
         """Refusals are its own decisions."""
         return scenario.replace(admission_control=True)
 
-    def method(self, name: str) -> LearnedPricesMethod:
+    def method(self, name: str) -> PlannerMethod:
         """See ``Evolvable``."""
-        return LearnedPricesMethod(LearnedPrices(self.network.weights()), name=name)
+        return PlannerMethod(LearnedPrices(self.network.weights()), name=name)
 
 
 class CandidatePolicy(Evolvable):

@@ -10,11 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import kernel, part
-from nfv_torchrl.planners.walks import make_problem
+from nfv_torchrl.codec import decode_action, encode_action
+from nfv_torchrl.search.walks import make_problem, unit_costs
+from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.kernels import step_env
 from nfv_torchrl.simulator.reasons import NO_REASON
 from nfv_torchrl.simulator.state import DONE, REASON
+from nfv_torchrl.simulator.steps import fits, vm_delay
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE, Rules, Tables
 
 OPEN, COMPLETE, REFUSED = 0, 1, 2
@@ -128,7 +130,7 @@ def _find_routes(problem, options, drafts, b):
         for k in range(problem.degree[node]):
             after = problem.neighbour[node, k]
             link = problem.neighbour_link[node, k]
-            if problem.link_offered[link] - drafts.link_used[b, link] < problem.rate_units:
+            if not fits(problem.link_offered[link] - drafts.link_used[b, link], problem.rate_units):
                 continue
             weight = problem.link_price[link] if options.by_cost else problem.hop_delay[link]
             if distance[node] + weight < distance[after]:
@@ -148,9 +150,9 @@ def _cheapest_vm(problem, drafts, b, node, latest):
     i = drafts.placed[b]
     best = -1
     for vm in range(problem.vm_count[node]):
-        if problem.vm_offered[node, vm] - drafts.vm_used[b, node, vm] < problem.load_units[i]:
+        if not fits(problem.vm_offered[node, vm] - drafts.vm_used[b, node, vm], problem.load_units[i]):
             continue
-        if 1000.0 * problem.load[i] / problem.vm_speed[node, vm] > latest:
+        if vm_delay(problem.load[i], problem.vm_speed[node, vm]) > latest:
             continue
         if best < 0 or problem.vm_price[node, vm] < problem.vm_price[node, best]:
             best = vm
@@ -193,7 +195,7 @@ def _go(problem, drafts, b, node, vm):
     steps = max(hops, 1)
     at = node
     for k in range(first + hops - 1, first - 1, -1):
-        drafts.action[b, k] = 2 * at * vms
+        drafts.action[b, k] = encode_action(at, 0, 0, vms)
         drafts.link[b, k] = drafts.via_link[b, at]
         drafts.link_used[b, drafts.via_link[b, at]] += problem.rate_units
         at = drafts.via_node[b, at]
@@ -202,9 +204,9 @@ def _go(problem, drafts, b, node, vm):
     elapsed = drafts.elapsed[b] + drafts.delay[b, node]
     if vm >= 0:
         i = drafts.placed[b]
-        drafts.action[b, first + steps - 1] = 2 * (node * vms + vm) + 1
+        drafts.action[b, first + steps - 1] = encode_action(node, vm, 1, vms)
         drafts.vm_used[b, node, vm] += problem.load_units[i]
-        elapsed += 1000.0 * problem.load[i] / problem.vm_speed[node, vm]
+        elapsed += vm_delay(problem.load[i], problem.vm_speed[node, vm])
     drafts.steps[b] = first + steps
     drafts.node[b] = node
     drafts.elapsed[b] = elapsed
@@ -233,7 +235,7 @@ def _undo(problem, drafts, b):
         if drafts.link[b, k] >= 0:
             drafts.link_used[b, drafts.link[b, k]] -= problem.rate_units
     last = drafts.action[b, drafts.steps[b] - 1]
-    drafts.vm_used[b, drafts.choice[b, i], (last // 2) % vms] -= problem.load_units[i]
+    drafts.vm_used[b, drafts.choice[b, i], decode_action(last, vms)[1]] -= problem.load_units[i]
     drafts.steps[b] = drafts.before_steps[b, i]
     drafts.node[b] = drafts.before_node[b, i]
     drafts.elapsed[b] = drafts.before_elapsed[b, i]
@@ -282,9 +284,9 @@ def _settle(problem, delay_to, options, drafts, b):
 
 
 @part
-def _observe(problem, tables, net, drafts, b):
+def _observe(problem, tables, drafts, b):
     """Write the observation: free VM capacity and bandwidth of every node, the function in hand, node and egress."""
-    flat = drafts.flat[b]
+    flat, net = drafts.flat[b], problem.net
     nodes = drafts.mask.shape[1] - 1
     flat[:] = 0.0
     most_vm, most_link = 1.0, 1.0
@@ -332,7 +334,7 @@ def _observe(problem, tables, net, drafts, b):
 
 
 @part
-def _begin(problem, tables, net, delay_to, options, drafts, b):
+def _begin(world, problem, options, drafts, b):
     drafts.state[b] = OPEN
     drafts.placed[b] = 0
     drafts.node[b] = problem.ingress
@@ -342,47 +344,41 @@ def _begin(problem, tables, net, delay_to, options, drafts, b):
     drafts.vm_used[b] = 0
     drafts.link_used[b] = 0
     drafts.excluded[b, 0] = False
-    _settle(problem, delay_to, options, drafts, b)
-    _observe(problem, tables, net, drafts, b)
+    _settle(problem, _delay_to(world, b), options, drafts, b)
+    _observe(problem, world.tables, drafts, b)
 
 
 @part
-def _choose(problem, tables, net, delay_to, options, drafts, b, choice):
+def _choose(world, problem, choice, options, drafts, b):
     nodes = drafts.mask.shape[1] - 1
     if choice < 0 or choice >= nodes or not drafts.mask[b, choice]:
         drafts.state[b] = REFUSED
         return
     _place(problem, drafts, b, choice)
-    _settle(problem, delay_to, options, drafts, b)
+    _settle(problem, _delay_to(world, b), options, drafts, b)
     if drafts.state[b] == OPEN:
-        _observe(problem, tables, net, drafts, b)
+        _observe(problem, world.tables, drafts, b)
 
 
 @part
-def _request(tables, rules, net, vm_offered, link_offered, service, ingress, egress):
-    vm_cost, link_cost = tables.vm_unit_cost[net], tables.link_unit_cost[net]
-    return make_problem(tables, rules, net, vm_offered, link_offered, vm_cost, link_cost, service, ingress, egress)
+def _delay_to(world, b):
+    """ms of the quickest way between any two nodes for the request of environment b, float64 [N, N]."""
+    return world.tables.delay_to[world.env[b].net, world.env[b].service]
 
 
 @kernel
-def begin_rows(tables, rules, rows, env_net, vm_offered, link_offered, service, ingress, egress, options, drafts):
+def begin_rows(world, rows, options, drafts):
     """Begin a draft for the request of every environment of ``rows``."""
     for b in rows:
-        net = env_net[b]
-        problem = _request(tables, rules, net, vm_offered[b], link_offered[b], service[b], ingress[b], egress[b])
-        _begin(problem, tables, net, tables.delay_to[net, service[b]], options, drafts, b)
+        _begin(world, make_problem(world, b, unit_costs(world, b)), options, drafts, b)
 
 
 @kernel
-def choose_rows(
-    tables, rules, rows, env_net, vm_offered, link_offered, service, ingress, egress, options, drafts, choices
-):
+def choose_rows(world, rows, choices, options, drafts):
     """Put the next function of every draft of ``rows`` on the node in ``choices`` int64 [R]; N refuses."""
     for k in range(rows.size):
         b = rows[k]
-        net = env_net[b]
-        problem = _request(tables, rules, net, vm_offered[b], link_offered[b], service[b], ingress[b], egress[b])
-        _choose(problem, tables, net, tables.delay_to[net, service[b]], options, drafts, b, choices[k])
+        _choose(world, make_problem(world, b, unit_costs(world, b)), choices[k], options, drafts, b)
 
 
 @part
@@ -395,37 +391,27 @@ def _rest(drafts, b):
 
 
 @part
-def _request_in_hand(world, b):
-    e = world.env[b]
-    offered, carried = world.ledger.vm_offered[b], world.ledger.link_offered[b]
-    return _request(world.tables, world.rules, e.net, offered, carried, e.service, e.ingress, e.egress)
-
-
-@part
 def _begin_env(world, options, drafts, b):
     """Begin a draft for environment b's request in hand."""
-    e = world.env[b]
-    if e.done == 1:
+    if world.env[b].done == 1:
         _rest(drafts, b)
         return
-    problem = _request_in_hand(world, b)
-    _begin(problem, world.tables, e.net, world.tables.delay_to[e.net, e.service], options, drafts, b)
+    _begin(world, make_problem(world, b, unit_costs(world, b)), options, drafts, b)
 
 
 @kernel
 def revise_env(world, options, drafts, b):
     """Find once more which nodes the next function of environment b's draft may go to, and what is seen of it."""
-    e = world.env[b]
-    if e.done == 1:
+    if world.env[b].done == 1:
         _rest(drafts, b)
         return
-    problem = _request_in_hand(world, b)
+    problem = make_problem(world, b, unit_costs(world, b))
     refuse = drafts.mask.shape[1] - 1
-    if _find_nodes(problem, world.tables.delay_to[e.net, e.service], options, drafts, b) > 0:
+    if _find_nodes(problem, _delay_to(world, b), options, drafts, b) > 0:
         drafts.mask[b, refuse] = options.may_refuse
     else:
         drafts.mask[b, refuse] = True
-    _observe(problem, world.tables, e.net, drafts, b)
+    _observe(problem, world.tables, drafts, b)
 
 
 @kernel
@@ -442,7 +428,6 @@ def advance(world, options, drafts, choices):
 
     Returns the least number of free records, free entries and free log places left in any of them.
     """
-    tables = world.tables
     reject = world.seen.mask.shape[1] - 1
     records = entries = places = np.int64(1) << 60
     for b in range(choices.size):
@@ -452,8 +437,8 @@ def advance(world, options, drafts, choices):
         world.outcome[b, REASON] = NO_REASON
         world.outcome[b, DONE] = e.done
         if e.done == 0:
-            problem = _request_in_hand(world, b)
-            _choose(problem, tables, e.net, tables.delay_to[e.net, e.service], options, drafts, b, choices[b])
+            problem = make_problem(world, b, unit_costs(world, b))
+            _choose(world, problem, choices[b], options, drafts, b)
             if drafts.state[b] == COMPLETE:
                 for k in range(drafts.steps[b]):
                     step_env(world, b, drafts.action[b, k])

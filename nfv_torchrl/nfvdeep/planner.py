@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from tensordict import TensorDict
@@ -12,13 +14,15 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import scorer
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.nfvdeep.drafts import COMPLETE, OPEN, Drafts, Options, begin_rows, choose_rows, make_drafts
+from nfv_torchrl.planners.base import Planner
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.simulator.tables import Rules, Tables
+from nfv_torchrl.simulator.state import World
+from nfv_torchrl.simulator.tables import Tables
 
 ROUTES = ("delay", "cost")
 
 
-class NFVdeepPlanner:
+class NFVdeepPlanner(Planner):
     """Plans of NFVdeep (Xiao et al., "NFVdeep: Adaptive Online Service Function Chain Deployment with Deep
     Reinforcement Learning", IWQoS 2019): a policy puts one function after the other on a node.
 
@@ -54,7 +58,8 @@ class NFVdeepPlanner:
             raise ScenarioError(f"planner.backtracks: {backtracks}; use 0 or more")
         self.actor = actor
         self.options = Options(by_cost=route == "cost", backtracks=int(backtracks), may_refuse=bool(may_refuse))
-        self._drafts: Drafts | None = None
+        self._tables: Tables | None = None
+        self._drafts: Any = None
 
     @staticmethod
     def sizes(simulator: Simulator) -> Sizes:
@@ -72,62 +77,15 @@ class NFVdeepPlanner:
         self.actor = actor
         return self
 
-    def prepare(self, tables: Tables, rules: Rules) -> None:
-        """See ``Planner``."""
-        self._drafts = make_drafts(tables, rules, 1)
-
-    def plan(
-        self,
-        tables: Tables,
-        rules: Rules,
-        net: int,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        service: int,
-        ingress: int,
-        egress: int,
-        plan_out: np.ndarray,
-    ) -> int:
-        """Plan one request; see ``Planner``."""
-        lengths = np.zeros(1, np.int64)
-        self.plan_batch(
-            tables,
-            rules,
-            np.zeros(1, np.int64),
-            np.array([net]),
-            vm_offered[None],
-            link_offered[None],
-            np.array([service]),
-            np.array([ingress]),
-            np.array([egress]),
-            plan_out[None],
-            lengths,
-        )
-        return int(lengths[0])
-
-    def plan_batch(
-        self,
-        tables: Tables,
-        rules: Rules,
-        rows: np.ndarray,
-        env_net: np.ndarray,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        service: np.ndarray,
-        ingress: np.ndarray,
-        egress: np.ndarray,
-        plans: np.ndarray,
-        lengths: np.ndarray,
-    ) -> None:
+    def plan_rows(self, world: World, rows: np.ndarray, plans: np.ndarray, lengths: np.ndarray) -> None:
         """Plan the requests of many environments, the policy called for all of them together; see ``Planner``."""
+        if self._tables is not world.tables or len(self._drafts.state) != len(world.env):
+            self._tables, self._drafts = world.tables, make_drafts(world.tables, world.rules, len(world.env))
         drafts = self._drafts
-        if drafts is None or len(drafts.state) != len(env_net):
-            drafts = self._drafts = make_drafts(tables, rules, len(env_net))
-        world = (env_net, vm_offered, link_offered, service, ingress, egress, self.options, drafts)
-        begin_rows(tables, rules, rows, *world)
+        begin_rows(world, rows, self.options, drafts)
         waiting = rows
         while waiting.size:
-            choose_rows(tables, rules, waiting, *world, self._ask(drafts, waiting))
+            choose_rows(world, waiting, self._ask(drafts, waiting), self.options, drafts)
             waiting = waiting[drafts.state[waiting] == OPEN]
         lengths[rows] = np.where(drafts.state[rows] == COMPLETE, drafts.steps[rows], 0)
         within = np.arange(plans.shape[1]) < lengths[rows, None]

@@ -192,6 +192,12 @@ def write_candidates(world, costs, references, rows, actions, mask):
             write_row(world, b, costs, references, action, rows[b, k])
 
 
+def candidate_shape(tables: Tables) -> tuple[int, int]:
+    """Rows C and features on the networks of ``tables``."""
+    vms, degrees = tables.vm_capacity.shape[2], tables.neighbour.shape[2]
+    return count_actions(degrees + 1, vms), len(FEATURES) + tables.load.shape[0]
+
+
 class CandidateObservation:
     """Key ``candidates``, nested: one row for each valid action, in no particular order, then padding.
 
@@ -214,9 +220,7 @@ class CandidateObservation:
     @staticmethod
     def shape(simulator: Simulator) -> tuple[int, int]:
         """Rows C and features."""
-        tables = simulator.tables
-        vms, degrees = tables.vm_capacity.shape[2], tables.neighbour.shape[2]
-        return count_actions(degrees + 1, vms), len(FEATURES) + tables.load.shape[0]
+        return candidate_shape(simulator.tables)
 
     def specs(self, simulator: Simulator) -> dict:
         """See ``ObservationPart``."""

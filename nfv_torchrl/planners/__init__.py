@@ -1,20 +1,21 @@
 """Planners: from one request and what the network offers to a whole embedding, as actions of the environment."""
 
-from nfv_torchrl.planners.base import Planner
-from nfv_torchrl.planners.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.planners.base import CompiledPlanner, Planner, over_rows
 from nfv_torchrl.planners.greedy import GreedyPlanner
+from nfv_torchrl.planners.learned_prices import LearnedPrices
+from nfv_torchrl.planners.milp import MilpPlanner
 from nfv_torchrl.planners.myopic import MyopicPlanner
 from nfv_torchrl.planners.priced import PricedPlanner
 from nfv_torchrl.planners.tabu import TabuPlanner
 
 __all__ = [
+    "CompiledPlanner",
     "GreedyPlanner",
+    "LearnedPrices",
+    "MilpPlanner",
     "MyopicPlanner",
     "Planner",
     "PricedPlanner",
-    "Scratch",
     "TabuPlanner",
-    "grow_scratch",
-    "make_scratch",
-    "plan_cheapest",
+    "over_rows",
 ]

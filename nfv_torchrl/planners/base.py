@@ -1,154 +1,116 @@
-"""What every planner offers to the code that runs it."""
+"""What every planner offers to the code that runs it, and how a compiled kernel becomes one."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any, ClassVar
 
 import numpy as np
 
-from nfv_torchrl.planners.walks import OVERFLOW
-from nfv_torchrl.simulator.tables import Rules, Tables
+from nfv_torchrl.search.walks import OVERFLOW
+from nfv_torchrl.simulator.compiled import kernel
+from nfv_torchrl.simulator.state import World
+from nfv_torchrl.simulator.tables import Tables
 
 
-class Planner(Protocol):
-    """Answers one request with a whole embedding, or refuses it.
+class Planner:
+    """Answers requests with whole embeddings, or refuses them.
 
-    ``prepare`` is called once with the tables and rules of the simulator, before the first plan. A planner is used by
-    one thread at a time: it owns scratch arrays.
+    A planner of your own overrides one of two methods: ``plan`` answers one request, ``plan_rows`` those of many
+    environments at once. Both see the whole world of the simulator (``nfv_torchrl.simulator.state``) and must not write
+    to it: ``world.env`` has each environment's request in hand (``service``, ``ingress``, ``egress``, ...) and the
+    row ``net`` of its network in ``world.tables``; ``world.ledger`` has what VMs and links offer now, in whole cycles/s
+    and bit/s. Actions are those of ``nfv_torchrl.codec``.
+
+    A planner is used by one thread at a time.
     """
 
-    def prepare(self, tables: Tables, rules: Rules) -> None:
-        """Allocate what plans on these tables need."""
+    def prepare(self, world: World) -> None:
+        """Called before a run: the place to allocate. Nothing by default."""
 
-    def plan(
-        self,
-        tables: Tables,
-        rules: Rules,
-        net: int,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        service: int,
-        ingress: int,
-        egress: int,
-        plan_out: np.ndarray,
-    ) -> int:
-        """Plan one request.
+    def plan(self, world: World, b: int, plan: np.ndarray) -> int:
+        """Plan the request that environment ``b`` is at.
 
         Args:
-            tables: the tables given to ``prepare``.
-            rules: the rules given to ``prepare``.
-            net: row of the tables.
-            vm_offered: ledger units (cycles/s) available now, int64 [N, V].
-            link_offered: ledger units (bit/s) available now, int64 [L].
-            service: row of the catalogue.
-            ingress: first node.
-            egress: last node.
-            plan_out: receives the actions 2 * (node * V + vm) + placed, int64 [max_steps].
+            world: only read.
+            b: environment.
+            plan: receives the actions, int64 [max_steps].
 
         Returns:
             Number of actions, 0 if the planner has no embedding for the request.
         """
+        raise NotImplementedError(f"{type(self).__name__} has neither plan nor plan_rows")
 
-    def plan_batch(
-        self,
-        tables: Tables,
-        rules: Rules,
-        rows: np.ndarray,
-        env_net: np.ndarray,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        service: np.ndarray,
-        ingress: np.ndarray,
-        egress: np.ndarray,
-        plans: np.ndarray,
-        lengths: np.ndarray,
-    ) -> None:
-        """Plan the requests of many environments in one compiled loop.
+    def plan_rows(self, world: World, rows: np.ndarray, plans: np.ndarray, lengths: np.ndarray) -> None:
+        """Plan the requests that the environments ``rows`` are at, by ``plan``, one after the other.
 
         Args:
-            tables: the tables given to ``prepare``.
-            rules: the rules given to ``prepare``.
-            rows: environments to answer, int64 [R].
-            env_net: row of the tables of each environment, int64 [B].
-            vm_offered: int64 [B, N, V].
-            link_offered: int64 [B, L].
-            service: int64 [B].
-            ingress: int64 [B].
-            egress: int64 [B].
-            plans: receives the actions, int64 [B, max_steps].
+            world: only read.
+            rows: environments, int64 [R].
+            plans: receives the actions, int64 [B, max_steps]; other rows stay.
             lengths: receives the number of actions, 0 where there is no embedding, int64 [B]; other rows stay.
         """
+        for b in rows.tolist():
+            lengths[b] = self.plan(world, b, plans[b])
 
 
-class CompiledPlanner:
-    """A planner whose kernels work in scratch arrays that grow when a kernel asks for it.
+def _plan_rows(world, rows, own, plans, lengths):
+    """How many of ``rows`` were answered before ``own`` was too small."""
+    for done in range(rows.size):
+        b = rows[done]
+        lengths[b] = plan_one(world, b, own, plans[b])  # type: ignore[name-defined]  # noqa: F821
+        if lengths[b] == OVERFLOW:
+            return done
+    return rows.size
 
-    Subclasses give ``_make``, ``_grow``, ``_kernel`` (one request) and ``_batch`` (a loop over rows that returns how
-    many rows it answered before its scratch was too small).
+
+def over_rows(plan_one: Callable[..., int]) -> Any:
+    """A compiled loop over the kernel ``plan_one(world, b, own, plan) -> number of actions or OVERFLOW``.
+
+    The loop is compiled as if it stood beside that kernel: Numba keeps compiled code by the file and the name of a
+    function, and it is stale when that file, or one that it imports from, changes.
+    """
+    one = getattr(plan_one, "py_func", plan_one)  # itself where Numba is switched off
+    name = f"{one.__name__}_rows"
+    code = _plan_rows.__code__.replace(co_filename=one.__code__.co_filename, co_name=name, co_qualname=name)
+    return kernel(FunctionType(code, {**one.__globals__, "plan_one": plan_one, "OVERFLOW": OVERFLOW}, name))
+
+
+class CompiledPlanner(Planner):
+    """A planner whose kernel works in arrays of its own, which grow when the kernel asks for it.
+
+    Subclasses give ``kernel`` (made by ``over_rows``), ``make`` and ``grow``.
+
+    Attributes:
+        own: what the kernel gets as its own, settings and scratch arrays; None before the first plan.
     """
 
+    kernel: ClassVar[Callable[..., int]]
+
     def __init__(self) -> None:
-        self._scratch: Any = None
+        self.own: Any = None
+        self._tables: Tables | None = None
 
-    def prepare(self, tables: Tables, rules: Rules) -> None:
-        """Allocate what plans on these tables need."""
-        self._scratch = self._make(tables, rules)
+    def prepare(self, world: World) -> None:
+        """Allocate what plans on the networks of ``world`` need, unless that has been done."""
+        if self._tables is not world.tables:
+            self._tables, self.own = world.tables, self.make(world.tables)
 
-    def plan(
-        self,
-        tables: Tables,
-        rules: Rules,
-        net: int,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        service: int,
-        ingress: int,
-        egress: int,
-        plan_out: np.ndarray,
-    ) -> int:
-        """Plan one request; see ``Planner.plan``."""
-        if self._scratch is None:
-            self.prepare(tables, rules)
+    def plan_rows(self, world: World, rows: np.ndarray, plans: np.ndarray, lengths: np.ndarray) -> None:
+        """See ``Planner``."""
+        self.prepare(world)
         while True:
-            steps = self._kernel(tables, rules, net, vm_offered, link_offered, service, ingress, egress, plan_out)
-            if steps != OVERFLOW:
-                return int(steps)
-            self._scratch = self._grow(tables)
-
-    def plan_batch(
-        self,
-        tables: Tables,
-        rules: Rules,
-        rows: np.ndarray,
-        env_net: np.ndarray,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        service: np.ndarray,
-        ingress: np.ndarray,
-        egress: np.ndarray,
-        plans: np.ndarray,
-        lengths: np.ndarray,
-    ) -> None:
-        """Plan the requests of many environments; see ``Planner.plan_batch``."""
-        if self._scratch is None:
-            self.prepare(tables, rules)
-        while True:
-            done = self._batch(
-                tables, rules, rows, env_net, vm_offered, link_offered, service, ingress, egress, plans, lengths
-            )
+            done = type(self).kernel(world, rows, self.own, plans, lengths)
             if done == rows.size:
                 return
             rows = rows[done:]
-            self._scratch = self._grow(tables)
+            self.own = self.grow(world.tables)
 
-    def _make(self, tables: Tables, rules: Rules) -> Any:
+    def make(self, tables: Tables) -> Any:
+        """What the kernel needs to plan on these tables."""
         raise NotImplementedError
 
-    def _grow(self, tables: Tables) -> Any:
-        raise NotImplementedError
-
-    def _kernel(self, *request: Any) -> int:
-        raise NotImplementedError
-
-    def _batch(self, *requests: Any) -> int:
+    def grow(self, tables: Tables) -> Any:
+        """The same with more room."""
         raise NotImplementedError

@@ -7,82 +7,36 @@ so one that jumps ahead to a cheap VM leaves less of the path to the functions a
 
 from __future__ import annotations
 
-from typing import Any
-
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.base import CompiledPlanner
-from nfv_torchrl.planners.compiled import kernel, part
-from nfv_torchrl.planners.placing import Placing, grow_placing, lay_walk, make_placing, place_greedily
-from nfv_torchrl.planners.walks import OVERFLOW, encode_walk, make_problem, walk_totals
+from nfv_torchrl.planners.base import CompiledPlanner, over_rows
+from nfv_torchrl.search.placing import Placing, encode_placement, grow_placing, make_placing, place_greedily
+from nfv_torchrl.search.walks import OVERFLOW, make_problem, unit_costs
 from nfv_torchrl.settings.values import Count
-from nfv_torchrl.simulator.tables import Rules, Tables
+from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.tables import Tables
 
 
 @part
-def encode_placement(problem, placing, number, position, vm, plan):
-    """Write a feasible placement on path ``number`` as actions; returns how many, 0 if it fails the step checks."""
-    steps = lay_walk(problem, placing, number, position, vm)
-    # Delays are summed once more step by step, as the step checks do.
-    _, delay = walk_totals(problem, placing.walk, steps, problem.vm_price, problem.link_price)
-    if delay > problem.budget:
-        return 0
-    encode_walk(placing.walk, steps, problem.vm_offered.shape[1], plan)
-    return steps
-
-
-@kernel
-def plan_greedy(tables, rules, net, vm_offered, link_offered, service, ingress, egress, placing, plan):
-    """Plan one request greedily; see ``CompiledPlanner.plan``.
+def plan_greedy(world, b, placing, plan):
+    """Plan the request of environment b greedily.
 
     Args:
+        world: the simulator's ``World``; only read.
+        b: environment.
         placing: ``Placing`` scratch, whose size decides k.
+        plan: receives the actions, int64 [max_steps].
 
     Returns:
         Number of actions, 0 if no path fits, OVERFLOW (-1) if the scratch must grow.
     """
-    problem = make_problem(
-        tables,
-        rules,
-        net,
-        vm_offered,
-        link_offered,
-        tables.vm_unit_cost[net],
-        tables.link_unit_cost[net],
-        service,
-        ingress,
-        egress,
-    )
-    row, best = place_greedily(problem, tables, net, placing)
+    problem = make_problem(world, b, unit_costs(world, b))
+    row, best = place_greedily(problem, world.tables, placing)
     if row == OVERFLOW:
         return OVERFLOW
     if best < 0:
         return 0
     number = row * placing.lacking.size + best
     return encode_placement(problem, placing, number, placing.position[best], placing.vm[best], plan)
-
-
-@kernel
-def plan_greedy_batch(
-    tables, rules, rows, env_net, vm_offered, link_offered, service, ingress, egress, placing, plans, lengths
-):
-    """``plan_greedy`` for every environment in ``rows``; returns how many were answered before an overflow."""
-    for done in range(rows.size):
-        b = rows[done]
-        lengths[b] = plan_greedy(
-            tables,
-            rules,
-            env_net[b],
-            vm_offered[b],
-            link_offered[b],
-            service[b],
-            ingress[b],
-            egress[b],
-            placing,
-            plans[b],
-        )
-        if lengths[b] == OVERFLOW:
-            return done
-    return rows.size
 
 
 class GreedyPlanner(CompiledPlanner):
@@ -95,7 +49,8 @@ class GreedyPlanner(CompiledPlanner):
         ScenarioError: paths < 1.
     """
 
-    _scratch: Placing
+    own: Placing
+    kernel = over_rows(plan_greedy)
 
     def __init__(self, *, paths: Count = 10) -> None:
         super().__init__()
@@ -103,14 +58,10 @@ class GreedyPlanner(CompiledPlanner):
             raise ScenarioError(f"paths is {paths}; a greedy planner needs at least 1 path to look at")
         self.paths = int(paths)
 
-    def _make(self, tables: Tables, rules: Rules) -> Placing:
-        return make_placing(tables, rules, self.paths)
+    def make(self, tables: Tables) -> Placing:
+        """See ``CompiledPlanner``."""
+        return make_placing(tables, self.paths)
 
-    def _grow(self, tables: Tables) -> Placing:
-        return grow_placing(self._scratch)
-
-    def _kernel(self, *request: Any) -> int:
-        return plan_greedy(*request[:-1], self._scratch, request[-1])
-
-    def _batch(self, *requests: Any) -> int:
-        return plan_greedy_batch(*requests[:-2], self._scratch, *requests[-2:])
+    def grow(self, tables: Tables) -> Placing:
+        """See ``CompiledPlanner``."""
+        return grow_placing(self.own)

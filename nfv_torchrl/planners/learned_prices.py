@@ -12,11 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
-from nfv_torchrl.planners.compiled import inlined, kernel, part
-from nfv_torchrl.planners.playing import FINISHED, NO_ROOM, has_room, play_plan
-from nfv_torchrl.planners.walks import OVERFLOW
+from nfv_torchrl.codec import decode_action
+from nfv_torchrl.planners.base import CompiledPlanner, over_rows
+from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
+from nfv_torchrl.search.walks import OVERFLOW, Prices
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.compiled import inlined, kernel, part
 from nfv_torchrl.simulator.tables import Tables
 
 VM_FEATURES = (
@@ -79,7 +81,7 @@ class PriceWeights(NamedTuple):
     unit: float
 
 
-class Seen(NamedTuple):
+class Measures(NamedTuple):
     """What the functions measure with, fixed during a run."""
 
     reference_load: float  # r, Mcycles/s: mean over services of the load of their chain
@@ -87,42 +89,29 @@ class Seen(NamedTuple):
     mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s: mean unit cost of VMs
     chain_load: np.ndarray  # float64 [K], Mcycles/s
     largest_units: np.ndarray  # int64 [K], ledger units of the largest function
-    mean_lifetime: np.ndarray  # float64 [B], s; 0 where lifetimes are hidden
 
 
-class PriceScratch(NamedTuple):
-    """What planning writes to; one for each thread."""
+class LearnedScratch(NamedTuple):
+    """What planning works with; one for each thread."""
 
+    weights: PriceWeights
+    measures: Measures
     search: Scratch
     x: np.ndarray  # float64 [MOST_FEATURES]
+    request: np.ndarray  # float64 [2]: features ``load`` and ``lifetime`` of the request in hand
 
 
-def measures(simulator: Simulator) -> Seen:
-    """``Seen`` of the networks, services and scenarios of ``simulator``."""
-    tables = simulator.tables
+def measures_of(tables: Tables) -> Measures:
+    """``Measures`` of networks and services."""
     chain = tables.load.sum(axis=1)
     counts = tables.vm_count.sum(axis=1)
-    mean_cost = tables.vm_unit_cost.sum(axis=(1, 2)) / np.maximum(counts, 1)
-    scenarios = [simulator.scenario(b) for b in range(simulator.batch_size)]
-    lifetimes = [scenario.mean_lifetime if scenario.observe_lifetime else 0.0 for scenario in scenarios]
-    return Seen(
+    return Measures(
         reference_load=float(chain.mean()),
         reference_units=float(tables.load_units.sum(axis=1).mean()),
-        mean_cost=mean_cost,
+        mean_cost=tables.vm_unit_cost.sum(axis=(1, 2)) / np.maximum(counts, 1),
         chain_load=chain,
         largest_units=tables.load_units.max(axis=1),
-        mean_lifetime=np.array(lifetimes),
     )
-
-
-def make_price_scratch(tables: Tables) -> PriceScratch:
-    """Scratch arrays for any network and service of ``tables``."""
-    return PriceScratch(make_scratch(tables), np.zeros(MOST_FEATURES))
-
-
-def grow_price_scratch(tables: Tables, scratch: PriceScratch) -> PriceScratch:
-    """Twice the labels of ``scratch``."""
-    return scratch._replace(search=grow_scratch(tables, scratch.search))
 
 
 @inlined
@@ -149,12 +138,23 @@ def _powers(x, used):
 
 
 @part
-def _price_vms(world, b, weights, seen, load, lifetime, x, vm_price):
+def _describe_request(world, b, own):
+    """Fill the features of the request itself."""
+    e, measures = world.env[b], own.measures
+    own.request[0] = 0.5 * np.log(measures.chain_load[e.service] / measures.reference_load)
+    own.request[1] = 0.0
+    mean = world.mean_lifetime[b]
+    if mean > 0.0:
+        own.request[1] = np.log(min(max(e.lifetime / mean, 0.05 / LONGEST), LONGEST))
+
+
+@part
+def _price_vms(world, b, own, vm_price):
     """Fill ``vm_price`` [N, V], $ per Mcycles/s."""
-    tables, e = world.tables, world.env[b]
+    tables, e, measures, x = world.tables, world.env[b], own.measures, own.x
     offered = world.ledger.vm_offered
     net = e.net
-    largest = seen.largest_units[e.service]
+    largest = measures.largest_units[e.service]
     network_used = e.vm_used / tables.vm_total[net]
     for node in range(tables.num_nodes[net]):
         free, total = np.int64(0), np.int64(0)
@@ -164,22 +164,22 @@ def _price_vms(world, b, weights, seen, load, lifetime, x, vm_price):
         for vm in range(tables.vm_count[net, node]):
             here = offered[b, node, vm]
             _powers(x, 1.0 - here / tables.vm_capacity[net, node, vm])
-            x[3] = seen.reference_units / (seen.reference_units + here)
+            x[3] = measures.reference_units / (measures.reference_units + here)
             x[4] = largest / (largest + here)
             x[5] = 1.0 - free / total
             x[6] = network_used
-            x[7] = tables.vm_unit_cost[net, node, vm] / seen.mean_cost[net] - 1.0
-            x[8] = load
-            x[9] = lifetime
+            x[7] = tables.vm_unit_cost[net, node, vm] / measures.mean_cost[net] - 1.0
+            x[8] = own.request[0]
+            x[9] = own.request[1]
             x[10] = 1.0 if world.rules.colocation else 0.0
-            rise = x[0] * max(_value(weights.vm, x), 0.0) * weights.unit * seen.mean_cost[net]
+            rise = x[0] * max(_value(own.weights.vm, x), 0.0) * own.weights.unit * measures.mean_cost[net]
             vm_price[node, vm] = tables.vm_unit_cost[net, node, vm] + rise
 
 
 @part
-def _price_links(world, b, weights, seen, load, lifetime, x, link_price):
+def _price_links(world, b, own, link_price):
     """Fill ``link_price`` [L], $ per Mbit/s."""
-    tables, e = world.tables, world.env[b]
+    tables, e, x = world.tables, world.env[b], own.x
     offered = world.ledger.link_offered
     net = e.net
     rate = tables.rate_units[e.service]
@@ -189,104 +189,72 @@ def _price_links(world, b, weights, seen, load, lifetime, x, link_price):
         _powers(x, 1.0 - here / tables.link_capacity[net, link])
         x[3] = rate / (rate + here)
         x[4] = network_used
-        x[5] = load
-        x[6] = lifetime
-        rise = x[0] * max(_value(weights.link, x), 0.0) * weights.unit * seen.mean_cost[net]
+        x[5] = own.request[0]
+        x[6] = own.request[1]
+        rise = x[0] * max(_value(own.weights.link, x), 0.0) * own.weights.unit * own.measures.mean_cost[net]
         link_price[link] = tables.link_unit_cost[net, link] + rise
 
 
 @part
-def _tightest(world, b, seen, steps, plan):
-    """Largest d / (d + free) over the VMs that the plan uses, free being what it leaves there."""
+def _tightest(world, b, largest, steps, plan):
+    """Largest d / (d + free) over the VMs that the plan uses, d ``largest`` and free what the plan leaves there."""
     tables, e = world.tables, world.env[b]
     vms = world.ledger.vm_offered.shape[2]
-    largest = seen.largest_units[e.service]
     worst = 0.0
     function = 0
     for k in range(steps):
-        if plan[k] % 2 == 0:
-            continue
-        place = plan[k] // 2
-        free = world.ledger.vm_offered[b, place // vms, place % vms] - tables.load_units[e.service, function]
-        worst = max(worst, largest / (largest + max(free, 0)))
-        function += 1
+        node, vm, places = decode_action(plan[k], vms)
+        if places:
+            free = world.ledger.vm_offered[b, node, vm] - tables.load_units[e.service, function]
+            worst = max(worst, largest / (largest + max(free, 0)))
+            function += 1
     return worst
 
 
 @part
-def _refuses(world, b, weights, seen, load, lifetime, steps, scratch, plan):
+def _refuses(world, b, own, steps, plan):
     """Whether the walk just found is not worth having."""
-    tables, e = world.tables, world.env[b]
-    x, result = scratch.x, scratch.search.result
-    unit = weights.unit * seen.mean_cost[e.net] * seen.reference_load
+    tables, e, measures = world.tables, world.env[b], own.measures
+    x, result = own.x, own.search.result
+    unit = own.weights.unit * measures.mean_cost[e.net] * measures.reference_load
     used = e.vm_used / tables.vm_total[e.net]
     x[0] = np.log(result[0] / unit + 1e-9) / 3.0
     x[1] = np.log(result[1] / unit + 1e-9) / 3.0
-    x[2] = _tightest(world, b, seen, steps, plan)
+    x[2] = _tightest(world, b, measures.largest_units[e.service], steps, plan)
     x[3] = used
     x[4] = used * used * used * used
     x[5] = e.link_used / tables.link_total[e.net]
-    x[6] = load
-    x[7] = lifetime
+    x[6] = own.request[0]
+    x[7] = own.request[1]
     x[8] = 1.0 if world.rules.colocation else 0.0
-    return _value(weights.admit, x) > 1.0
+    return _value(own.weights.admit, x) > 1.0
 
 
-@kernel
-def plan_learned(world, b, weights, seen, scratch, plan):
+@part
+def plan_learned(world, b, own, plan):
     """Plan the request of environment b.
 
     Args:
         world: the simulator's ``World``; only read.
         b: environment.
-        weights: ``PriceWeights``.
-        seen: ``Seen`` of the simulator.
-        scratch: ``PriceScratch``.
+        own: ``LearnedScratch`` of the world's tables.
         plan: receives the actions, int64 [max_steps].
 
     Returns:
         Number of actions, 0 if infeasible or refused, OVERFLOW (-1) if the scratch must grow.
     """
-    tables, e, search = world.tables, world.env[b], scratch.search
-    load = 0.5 * np.log(seen.chain_load[e.service] / seen.reference_load)
-    lifetime = 0.0
-    mean = seen.mean_lifetime[b]
-    if mean > 0.0:
-        lifetime = np.log(min(max(e.lifetime / mean, 0.05 / LONGEST), LONGEST))
-    _price_vms(world, b, weights, seen, load, lifetime, scratch.x, search.vm_price)
-    _price_links(world, b, weights, seen, load, lifetime, scratch.x, search.link_price)
-    steps = plan_cheapest(
-        tables,
-        world.rules,
-        e.net,
-        world.ledger.vm_offered[b],
-        world.ledger.link_offered[b],
-        search.vm_price,
-        search.link_price,
-        e.service,
-        e.ingress,
-        e.egress,
-        search,
-        plan,
-    )
-    if steps > 0 and _refuses(world, b, weights, seen, load, lifetime, steps, scratch, plan):
+    prices = Prices(own.search.vm_price, own.search.link_price)
+    _describe_request(world, b, own)
+    _price_vms(world, b, own, prices.vm)
+    _price_links(world, b, own, prices.link)
+    steps = plan_cheapest(world, b, prices, own.search, plan)
+    if steps > 0 and _refuses(world, b, own, steps, plan):
         return 0
     return steps
 
 
 @kernel
-def plan_learned_rows(world, rows, weights, seen, scratch, plans, lengths):
-    """``plan_learned`` for every environment in ``rows``; returns how many were answered before an overflow."""
-    for done in range(rows.size):
-        b = rows[done]
-        lengths[b] = plan_learned(world, b, weights, seen, scratch, plans[b])
-        if lengths[b] == OVERFLOW:
-            return done
-    return rows.size
-
-
-@kernel
-def play_learned(world, b, weights, seen, scratch, plan, costs):
+def play_learned(world, b, own, plan, costs):
     """Answer the requests of environment b by ``plan_learned`` to the end of its horizon.
 
     ``costs`` float64 [R] receives what each cost ($), NaN if it was not accepted. Returns FINISHED, NO_ROOM if the
@@ -296,7 +264,7 @@ def play_learned(world, b, weights, seen, scratch, plan, costs):
     while e.done == 0:
         if not has_room(world, b):
             return NO_ROOM
-        steps = plan_learned(world, b, weights, seen, scratch, plan)
+        steps = plan_learned(world, b, own, plan)
         if steps == OVERFLOW:
             return OVERFLOW
         request = e.cursor
@@ -304,42 +272,35 @@ def play_learned(world, b, weights, seen, scratch, plan, costs):
     return FINISHED
 
 
-class LearnedPrices:
-    """Plans for environments of a simulator, or plays their whole horizons. Used by one thread at a time.
+class LearnedPrices(CompiledPlanner):
+    """Plans requests, or plays whole horizons in one compiled call.
 
     Args:
         weights: of the three functions, such as ``PriceNetwork.weights()``.
     """
 
+    own: LearnedScratch
+    kernel = over_rows(plan_learned)
+
     def __init__(self, weights: PriceWeights) -> None:
+        super().__init__()
         self.weights = weights
 
-    def prepare(self, simulator: Simulator) -> None:
-        """Allocate what plans on this simulator need."""
-        self._seen = measures(simulator)
-        self._scratch = make_price_scratch(simulator.tables)
-        self._plan = np.zeros(simulator.world.rules.max_steps, np.int64)
+    def make(self, tables: Tables) -> LearnedScratch:
+        """See ``CompiledPlanner``."""
+        scratch = np.zeros(MOST_FEATURES), np.zeros(2)
+        return LearnedScratch(self.weights, measures_of(tables), make_scratch(tables), *scratch)
 
-    def plan_rows(self, simulator: Simulator, rows: np.ndarray, plans: np.ndarray, lengths: np.ndarray) -> None:
-        """Plan the requests of the environments ``rows`` int64 [R].
-
-        ``plans`` int64 [B, max_steps] and ``lengths`` int64 [B] receive actions and their number, 0 where a request is
-        infeasible or refused; other rows stay.
-        """
-        while True:
-            done = plan_learned_rows(simulator.world, rows, self.weights, self._seen, self._scratch, plans, lengths)
-            if done == rows.size:
-                return
-            rows = rows[done:]
-            self._scratch = grow_price_scratch(simulator.tables, self._scratch)
+    def grow(self, tables: Tables) -> LearnedScratch:
+        """See ``CompiledPlanner``."""
+        return self.own._replace(search=grow_scratch(tables, self.own.search))
 
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
         """Answer all requests of environment b, compiled; ``costs`` as in ``play_learned``."""
-        while True:
-            outcome = play_learned(simulator.world, b, self.weights, self._seen, self._scratch, self._plan, costs)
-            if outcome == FINISHED:
-                return
+        self.prepare(simulator.world)
+        plan = np.zeros(simulator.world.rules.max_steps, np.int64)
+        while (outcome := play_learned(simulator.world, b, self.own, plan, costs)) != FINISHED:
             if outcome == NO_ROOM:
                 simulator.make_room_for(b)
             else:
-                self._scratch = grow_price_scratch(simulator.tables, self._scratch)
+                self.own = self.grow(simulator.tables)

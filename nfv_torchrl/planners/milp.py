@@ -13,9 +13,12 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
 from scipy.sparse import coo_array, csr_array
 
+from nfv_torchrl.codec import encode_action, split_vm
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.layered_graph import Form, LayeredGraph, Request, layered_graph
-from nfv_torchrl.simulator.tables import DELAY_TOLERANCE, Rules, Tables
+from nfv_torchrl.planners.base import Planner
+from nfv_torchrl.search.layered_graph import Form, LayeredGraph, Request, layered_graph
+from nfv_torchrl.simulator.state import World
+from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
 __all__ = ["Embedding", "MilpPlanner", "Request", "embed_request", "embed_slot"]
 
@@ -35,101 +38,43 @@ class Embedding(NamedTuple):
     delay: float
 
     def actions(self, max_vms: int) -> np.ndarray:
-        """The walk as actions int64 [J], 2 (n V + v) + s with V = ``max_vms``. Only form ``walk`` keeps to the mask."""
-        return np.array([2 * (n * max_vms + v) + (f is not None) for n, v, f in self.steps], dtype=np.int64)
+        """The walk as actions int64 [J], with V = ``max_vms``. Only form ``walk`` keeps to the mask."""
+        return np.array([encode_action(n, v, f is not None, max_vms) for n, v, f in self.steps], dtype=np.int64)
 
 
-class MilpPlanner:
-    """``milp``: the integer programme as a planner (see ``nfv_torchrl.planners.base.Planner``). For small networks."""
+class MilpPlanner(Planner):
+    """``milp``: the integer programme as a planner. For small networks."""
 
-    def prepare(self, tables: Tables, rules: Rules) -> None:
-        """Nothing is kept from one request to the next."""
-
-    def plan(
-        self,
-        tables: Tables,
-        rules: Rules,
-        net: int,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        service: int,
-        ingress: int,
-        egress: int,
-        plan_out: np.ndarray,
-    ) -> int:
-        """Plan one request; see ``Planner.plan``."""
-        request = Request(int(service), int(ingress), int(egress))
-        embedding = embed_request(tables, rules, net, vm_offered, link_offered, request)
+    def plan(self, world: World, b: int, plan: np.ndarray) -> int:
+        """Plan one request; see ``Planner``."""
+        embedding = embed_request(world, b)
         if embedding is None:
             return 0
-        actions = embedding.actions(tables.vm_capacity.shape[2])
-        plan_out[: actions.size] = actions
+        actions = embedding.actions(world.tables.vm_capacity.shape[2])
+        plan[: actions.size] = actions
         return int(actions.size)
 
-    def plan_batch(
-        self,
-        tables: Tables,
-        rules: Rules,
-        rows: np.ndarray,
-        env_net: np.ndarray,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        service: np.ndarray,
-        ingress: np.ndarray,
-        egress: np.ndarray,
-        plans: np.ndarray,
-        lengths: np.ndarray,
-    ) -> None:
-        """Plan the requests of many environments, one after the other; see ``Planner.plan_batch``."""
-        for b in rows.tolist():
-            lengths[b] = self.plan(
-                tables,
-                rules,
-                int(env_net[b]),
-                vm_offered[b],
-                link_offered[b],
-                service[b],
-                ingress[b],
-                egress[b],
-                plans[b],
-            )
+
+def embed_request(world: World, b: int, form: Form = "walk") -> Embedding | None:
+    """The cheapest embedding of the request that environment b is at, on what is offered now; None if there is none."""
+    return embed_slot(world, b, [Request.of(world, b)], form)[0]
 
 
-def embed_request(
-    tables: Tables,
-    rules: Rules,
-    net: int,
-    vm_offered: np.ndarray,
-    link_offered: np.ndarray,
-    request: Request,
-    form: Form = "walk",
-) -> Embedding | None:
-    """The cheapest embedding of ``request`` on what is offered now, or None if there is none.
-
-    Args:
-        net: row of ``tables``.
-        vm_offered: int64 [N, V], cycles/s left of each VM.
-        link_offered: int64 [L], bit/s left of each link.
-    """
-    return embed_slot(tables, rules, net, vm_offered, link_offered, [request], form)[0]
-
-
-def embed_slot(
-    tables: Tables,
-    rules: Rules,
-    net: int,
-    vm_offered: np.ndarray,
-    link_offered: np.ndarray,
-    requests: Sequence[Request],
-    form: Form = "walk",
-) -> list[Embedding | None]:
+def embed_slot(world: World, b: int, requests: Sequence[Request], form: Form = "walk") -> list[Embedding | None]:
     """Embed the requests of one slot together: as many as possible, and those at the least total cost.
 
-    Arguments as for ``embed_request``. Returns one entry per request, None for those left out.
+    Args:
+        world: the simulator's world.
+        b: environment on whose network they are embedded.
+        requests: any requests.
+        form: ``walk`` or ``problem``.
+
+    Returns:
+        One entry per request, None for those left out.
     """
     if not requests:
         return []
-    programme = _Programme(tables, rules, net, vm_offered, link_offered, requests, form)
+    programme = _Programme(world, b, requests, form)
     # A single request needs no count first: it is accepted or the programme is infeasible.
     return programme.cheapest(1 if len(requests) == 1 else programme.most_accepted())
 
@@ -141,19 +86,11 @@ class _Programme:
     numbers small enough for the solver's tolerance not to matter.
     """
 
-    def __init__(
-        self,
-        tables: Tables,
-        rules: Rules,
-        net: int,
-        vm_offered: np.ndarray,
-        link_offered: np.ndarray,
-        requests: Sequence[Request],
-        form: Form,
-    ) -> None:
-        self.tables, self.rules, self.net, self.form = tables, rules, net, form
+    def __init__(self, world: World, b: int, requests: Sequence[Request], form: Form) -> None:
+        tables, ledger = world.tables, world.ledger
+        self.tables, self.rules, self.form = tables, world.rules, form
         self.requests = list(requests)
-        self.graphs = [layered_graph(tables, rules, net, vm_offered, link_offered, r, form) for r in requests]
+        self.graphs = [layered_graph(world, b, request, form) for request in requests]
         sizes = [graph.tail.size for graph in self.graphs]
         self.first = np.r_[0, np.cumsum(sizes)].astype(np.int64)  # first variable of each request
         self.num_vars = int(self.first[-1]) + len(self.requests)
@@ -161,8 +98,8 @@ class _Programme:
         self.budgets = np.array([tables.tolerable_delay[r.service] + DELAY_TOLERANCE for r in requests])
         self.rows = [
             *self._conservation(),
-            *self._capacity(vm_offered.ravel(), "vm"),
-            *self._capacity(link_offered, "link"),
+            *self._capacity(ledger.vm_offered[b].ravel(), "vm"),
+            *self._capacity(ledger.link_offered[b], "link"),
             *self._budgets(),
         ]
 
@@ -286,7 +223,7 @@ def _embedding(graph: LayeredGraph, path: list[int], max_vms: int) -> Embedding:
     steps: list[tuple[int, int, int | None]] = []
     for arc in path:
         vm, function = int(graph.vm[arc]), int(graph.function[arc])
-        here = (int(graph.node[arc]), vm % max_vms, function)
+        here = (int(graph.node[arc]), split_vm(vm, max_vms)[1], function)
         if function < 0:
             if graph.link[arc] >= 0:
                 steps.append((here[0], 0, None))  # forwarding names a VM too, the first will do

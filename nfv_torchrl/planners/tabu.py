@@ -8,16 +8,16 @@ iterations, unless that leads to the best feasible embedding so far (aspiration)
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from nfv_torchrl.codec import vm_resource
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.base import CompiledPlanner
-from nfv_torchrl.planners.compiled import kernel, part
-from nfv_torchrl.planners.greedy import encode_placement
-from nfv_torchrl.planners.placing import (
+from nfv_torchrl.planners.base import CompiledPlanner, over_rows
+from nfv_torchrl.search.placing import (
     Placing,
+    encode_placement,
     first_position,
     grow_placing,
     judge,
@@ -25,49 +25,42 @@ from nfv_torchrl.planners.placing import (
     node_at,
     place_greedily,
 )
-from nfv_torchrl.planners.walks import OVERFLOW, make_problem
+from nfv_torchrl.search.walks import OVERFLOW, make_problem, unit_costs
 from nfv_torchrl.settings.values import Count, Natural
-from nfv_torchrl.simulator.tables import Rules, Tables
+from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.tables import Tables
 
 PENALTY = 1e6
 """$ for one unit of violation: above any real cost, so infeasible embeddings are ranked by their violation first."""
 
 
 class TabuScratch(NamedTuple):
-    """What ``tabu`` writes to while it works; one for each thread."""
+    """What ``tabu`` works with; one for each thread."""
 
     placing: Placing
-    listed: np.ndarray  # int64 [tenure, 3]: (function, node * V + vm, -1) or (-1, -1, path), oldest overwritten
+    listed: np.ndarray  # int64 [tenure, 3]: (function, VM, -1) or (-1, -1, path), oldest overwritten
+    iterations: int  # E, moves made
 
 
-@kernel
-def plan_tabu(tables, rules, net, vm_offered, link_offered, service, ingress, egress, iterations, scratch, plan):
-    """Plan one request by tabu search; see ``CompiledPlanner.plan``. Deterministic.
+@part
+def plan_tabu(world, b, scratch, plan):
+    """Plan the request of environment b by tabu search. Deterministic.
 
     Args:
-        iterations: E, moves made.
+        world: the simulator's ``World``; only read.
+        b: environment.
         scratch: ``TabuScratch``, whose sizes decide k and the tenure.
+        plan: receives the actions, int64 [max_steps].
 
     Returns:
         Number of actions, 0 if no feasible embedding was met, OVERFLOW (-1) if the scratch must grow.
     """
-    problem = make_problem(
-        tables,
-        rules,
-        net,
-        vm_offered,
-        link_offered,
-        tables.vm_unit_cost[net],
-        tables.link_unit_cost[net],
-        service,
-        ingress,
-        egress,
-    )
+    problem = make_problem(world, b, unit_costs(world, b))
     placing = scratch.placing
-    row, start = place_greedily(problem, tables, net, placing)
+    row, start = place_greedily(problem, world.tables, placing)
     if row == OVERFLOW:
         return OVERFLOW
-    best = _improve(problem, scratch, row, start, iterations)
+    best = _improve(problem, scratch, row, start)
     if best < 0:
         return 0
     kept = placing.position.shape[0] - 1
@@ -76,7 +69,7 @@ def plan_tabu(tables, rules, net, vm_offered, link_offered, service, ingress, eg
 
 
 @part
-def _improve(problem, scratch, row, start, iterations):
+def _improve(problem, scratch, row, start):
     """Search from the greedy placement on path ``start`` (-1: the cheapest path, infeasible).
 
     Returns:
@@ -94,7 +87,7 @@ def _improve(problem, scratch, row, start, iterations):
         best = start
         least = judge(problem, placing, row * placing.lacking.size + start, start, position, vm)[0]
         _copy(placing, here, kept, functions)
-    for iteration in range(iterations):
+    for iteration in range(scratch.iterations):
         function, at, v, target = _best_move(problem, scratch, row, path, least)
         if function < 0 and target < 0:
             break
@@ -103,7 +96,7 @@ def _improve(problem, scratch, row, start, iterations):
         if function >= 0:
             node = node_at(problem, placing.paths, row * placing.lacking.size + path, position[function])
             listed[slot, 0] = function
-            listed[slot, 1] = node * problem.vm_offered.shape[1] + vm[function]
+            listed[slot, 1] = vm_resource(node, vm[function], problem.vm_offered.shape[1])
             position[function] = at
             vm[function] = v
         else:
@@ -146,7 +139,7 @@ def _best_move(problem, scratch, row, path, least):
                 cost, violation = judge(problem, placing, number, path, position, vm)
                 score = cost + PENALTY * violation
                 aspires = violation == 0.0 and cost < least
-                if score < lowest and (aspires or not _is_tabu(scratch.listed, i, node * vms + v, -1)):
+                if score < lowest and (aspires or not _is_tabu(scratch.listed, i, vm_resource(node, v, vms), -1)):
                     lowest = score
                     move = (i, at, v, -1)
         position[i], vm[i] = old_at, old_vm
@@ -186,43 +179,6 @@ def _copy(placing, source, target, functions):
         placing.vm[target, i] = placing.vm[source, i]
 
 
-@kernel
-def plan_tabu_batch(
-    tables,
-    rules,
-    rows,
-    env_net,
-    vm_offered,
-    link_offered,
-    service,
-    ingress,
-    egress,
-    iterations,
-    scratch,
-    plans,
-    lengths,
-):
-    """``plan_tabu`` for every environment in ``rows``; returns how many were answered before an overflow."""
-    for done in range(rows.size):
-        b = rows[done]
-        lengths[b] = plan_tabu(
-            tables,
-            rules,
-            env_net[b],
-            vm_offered[b],
-            link_offered[b],
-            service[b],
-            ingress[b],
-            egress[b],
-            iterations,
-            scratch,
-            plans[b],
-        )
-        if lengths[b] == OVERFLOW:
-            return done
-    return rows.size
-
-
 class TabuPlanner(CompiledPlanner):
     """Tabu search from the greedy placement; the best feasible embedding it meets. Deterministic.
 
@@ -235,7 +191,8 @@ class TabuPlanner(CompiledPlanner):
         ScenarioError: paths < 1, iterations < 0 or tenure < 1.
     """
 
-    _scratch: TabuScratch
+    own: TabuScratch
+    kernel = over_rows(plan_tabu)
 
     def __init__(self, *, paths: Count = 10, iterations: Natural = 30, tenure: Count = 5) -> None:
         super().__init__()
@@ -249,14 +206,10 @@ class TabuPlanner(CompiledPlanner):
         self.iterations = int(iterations)
         self.tenure = int(tenure)
 
-    def _make(self, tables: Tables, rules: Rules) -> TabuScratch:
-        return TabuScratch(make_placing(tables, rules, self.paths), np.full((self.tenure, 3), -1))
+    def make(self, tables: Tables) -> TabuScratch:
+        """See ``CompiledPlanner``."""
+        return TabuScratch(make_placing(tables, self.paths), np.full((self.tenure, 3), -1), self.iterations)
 
-    def _grow(self, tables: Tables) -> TabuScratch:
-        return self._scratch._replace(placing=grow_placing(self._scratch.placing))
-
-    def _kernel(self, *request: Any) -> int:
-        return plan_tabu(*request[:-1], self.iterations, self._scratch, request[-1])
-
-    def _batch(self, *requests: Any) -> int:
-        return plan_tabu_batch(*requests[:-2], self.iterations, self._scratch, *requests[-2:])
+    def grow(self, tables: Tables) -> TabuScratch:
+        """See ``CompiledPlanner``."""
+        return self.own._replace(placing=grow_placing(self.own.placing))

@@ -81,6 +81,9 @@ class Simulator:
         self.world: World = new_world(tables, scenario_rules(first), net, first.horizon, first.warmup, one_hot, record)
         self._service_shares = [_service_shares(scenario) for scenario in self.scenarios]
         self.world.env["done"] = 1
+        for b in range(batch_size):
+            scenario = self.scenario(b)
+            self.world.mean_lifetime[b] = scenario.mean_lifetime if scenario.observe_lifetime else 0.0
         self._grow_until_roomy()
 
     def _check_size(self, record: bool) -> None:

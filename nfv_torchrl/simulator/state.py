@@ -133,6 +133,7 @@ class World(NamedTuple):
     tables: Tables
     rules: Rules
     env: np.ndarray  # ENV_DTYPE [B]
+    mean_lifetime: np.ndarray  # float64 [B], s; 0 where lifetimes are hidden from controllers
     ledger: Ledger
     arrivals: Arrivals
     running: Running
@@ -202,6 +203,7 @@ def new_world(
         tables=tables,
         rules=rules,
         env=env,
+        mean_lifetime=np.zeros(batch),
         ledger=Ledger(
             vm_reserved=np.zeros((batch, nodes, vms), np.int64),
             vm_offered=tables.vm_capacity[net].copy(),

@@ -46,7 +46,7 @@ class CompiledCandidates:
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
         """See ``Method``."""
-        self._play.prepare(simulator)
+        self._play.prepare(simulator.world)
         self._play.choose(simulator)  # the first call may compile
 
     def act(self, simulator: Simulator) -> np.ndarray:

@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from handmade import read_decisions, write_decisions
 
+from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.evaluation.audit import audit_folders
 from nfv_torchrl.evaluation.bound_check import recompute_bound
 from nfv_torchrl.evaluation.comparison import Comparison
@@ -26,7 +27,6 @@ from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import write_summary
 from nfv_torchrl.planners import MyopicPlanner
-from nfv_torchrl.planners.bound import blind_bound, hindsight_bound
 from nfv_torchrl.scenario import paper_scenario
 
 SEEDS = [3, 1, 2]

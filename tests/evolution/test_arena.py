@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from nfv_torchrl.bounds.bound import blind_bound
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.runner import run_method
@@ -16,7 +17,6 @@ from nfv_torchrl.evolution.fitness import Arena
 from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, Sizes
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.planners import MyopicPlanner
-from nfv_torchrl.planners.bound import blind_bound
 from nfv_torchrl.simulator import Simulator
 
 SOURCE = FixedNetwork({"horizon": 120, "mean_lifetime": 100.0, "arrival_rate": 12.0, "colocation": True,

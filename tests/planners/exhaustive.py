@@ -9,6 +9,7 @@ import numpy as np
 
 from nfv_torchrl.scenario.random_graph import draw_random_substrate
 from nfv_torchrl.scenario.services import ServiceCatalogue, ServiceType
+from nfv_torchrl.simulator.state import World, new_world
 from nfv_torchrl.simulator.tables import Rules, Tables, build_tables
 
 LOADS = {"S": 0.3, "M": 0.7, "L": 1.2}
@@ -26,9 +27,13 @@ class Case(NamedTuple):
     egress: int
 
     @property
-    def request(self) -> tuple:
-        """Arguments of ``Planner.plan`` but for the last."""
-        return (self.tables, self.rules, 0, self.vm_offered, self.link_offered, self.service, self.ingress, self.egress)
+    def world(self) -> World:
+        """One environment at this request, on this network."""
+        made = new_world(self.tables, self.rules, np.zeros(1, np.int64), 1, 0, False, False)
+        made.ledger.vm_offered[0], made.ledger.link_offered[0] = self.vm_offered, self.link_offered
+        for name in ("service", "ingress", "egress"):
+            made.env[name] = getattr(self, name)
+        return made
 
 
 def tight_case(seed: int, colocation: bool) -> Case:
@@ -158,10 +163,17 @@ def checked_cost(case: Case, plan: list[int]) -> float:
     return cost
 
 
+def plan_of(planner, case: Case) -> list[int]:
+    """Actions of the planner's answer, none if it has no embedding."""
+    plans, lengths = np.full((1, case.rules.max_steps), -1), np.zeros(1, np.int64)
+    world = case.world
+    planner.prepare(world)
+    planner.plan_rows(world, np.zeros(1, np.int64), plans, lengths)
+    assert (plans[0, lengths[0] :] == -1).all()
+    return plans[0, : lengths[0]].tolist()
+
+
 def planned_cost(planner, case: Case) -> float:
     """Checked cost of the planner's answer, inf if it has none."""
-    plan = np.full(case.rules.max_steps, -1)
-    planner.prepare(case.tables, case.rules)
-    steps = planner.plan(*case.request, plan)
-    assert (plan[steps:] == -1).all()
-    return checked_cost(case, plan[:steps].tolist()) if steps else math.inf
+    plan = plan_of(planner, case)
+    return checked_cost(case, plan) if plan else math.inf

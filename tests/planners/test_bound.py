@@ -8,14 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exhaustive import Case, plan_of
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound, hindsight_least_cost, lifetime_luck
+from nfv_torchrl.bounds.occupancy import Columns, certificate, maximise_value
+from nfv_torchrl.bounds.relaxations import candidate_cuts, least_cost, least_delay
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.bound import blind_bound, hindsight_bound, hindsight_least_cost, lifetime_luck
 from nfv_torchrl.planners.myopic import MyopicPlanner
-from nfv_torchrl.planners.occupancy import Columns, certificate, maximise_value
-from nfv_torchrl.planners.relaxations import candidate_cuts, least_cost, least_delay
 from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline, sample_timeline
 from nfv_torchrl.scenario.random_graph import draw_random_substrate
 from nfv_torchrl.scenario.scenario import Scenario, paper_scenario
@@ -239,8 +240,7 @@ def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> n
     shape, vms = tables.vm_capacity[0].shape, tables.vm_capacity[0].size
     offered, up = capacity.copy(), np.ones(capacity.size, bool)
     ends = {(u, v): link for link, (u, v) in enumerate(substrate.links.tolist())}
-    planner, plan = MyopicPlanner(), np.zeros(scenario.max_steps, np.int64)
-    planner.prepare(tables, rules)
+    planner = MyopicPlanner()
     running: list[tuple[int, np.ndarray]] = []
     accepted, event = np.zeros(len(workload), bool), 0
     for r, t in enumerate(workload.slot.tolist()):
@@ -251,9 +251,9 @@ def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> n
         running = [(end, use) for end, use in running if end > t]
         offered = np.where(up, capacity - sum((use for _, use in running), np.zeros_like(capacity)), 0)
         request = int(workload.service[r]), int(workload.ingress[r]), int(workload.egress[r])
-        steps = planner.plan(tables, rules, 0, offered[:vms].reshape(shape), offered[vms:], *request, plan)
+        plan = plan_of(planner, Case(tables, rules, offered[:vms].reshape(shape), offered[vms:], *request))
         use, node, placed = np.zeros_like(capacity), request[1], 0
-        for action in plan[:steps].tolist():
+        for action in plan:
             there, vm, place = action // (2 * shape[1]), action // 2 % shape[1], action % 2
             if there != node:
                 use[vms + ends[min(node, there), max(node, there)]] += tables.rate_units[request[0]]
@@ -261,7 +261,7 @@ def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> n
                 use[there * shape[1] + vm] += tables.load_units[request[0], placed]
                 placed += 1
             node = there
-        if steps:
+        if plan:
             running.append((int(workload.departure[r]), use))
             accepted[r] = True
     return accepted
@@ -304,25 +304,24 @@ def test_least_delay_and_cost_are_below_the_exact_searchs():
         scenario = paper_scenario(7, seed, colocation=colocation)
         tables = build_tables([scenario.substrate], scenario.catalogue)
         rules = Rules(colocation, False, False, 100)
-        planner, plan = MyopicPlanner(), np.zeros(100, np.int64)
-        planner.prepare(tables, rules)
+        planner = MyopicPlanner()
         vms, links = tables.vm_capacity[0], tables.link_capacity[0]
         for service in range(3):
             cost, delay = least_cost(scenario, service), least_delay(scenario, service)
             for ingress, egress in itertools.permutations(range(7), 2):
-                steps = planner.plan(tables, rules, 0, vms, links, service, ingress, egress, plan)
-                if steps:
+                plan = plan_of(planner, Case(tables, rules, vms, links, service, ingress, egress))
+                if plan:
                     assert delay[ingress, egress] <= scenario.catalogue.tolerable_delay[service] + 1e-9
-                    exact = _cost(scenario, service, ingress, plan[:steps])
+                    exact = _cost(scenario, service, ingress, plan)
                     assert cost[ingress, egress] <= exact + 1e-9
                     if service == 0:  # web has time to spare, so only the relaxed rules differ
                         assert cost[ingress, egress] >= 0.8 * exact
 
 
-def _cost(scenario: Scenario, service: int, node: int, plan: np.ndarray) -> float:
+def _cost(scenario: Scenario, service: int, node: int, plan: list[int]) -> float:
     substrate, slots, placed, cost = scenario.substrate, scenario.substrate.vm_capacity.shape[1], 0, 0.0
     price = {(u, v): w for (u, v), w in zip(substrate.links.tolist(), substrate.link_unit_cost, strict=True)}
-    for action in plan.tolist():
+    for action in plan:
         there, vm = action // (2 * slots), action // 2 % slots
         cost += price[min(node, there), max(node, there)] * scenario.catalogue.rate[service] if there != node else 0.0
         if action % 2:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
-from exhaustive import Case, planned_cost, tight_case
+from exhaustive import Case, plan_of, planned_cost, tight_case
 from toy import DUO, DUO_0_TO_3, action, toy_catalogue, toy_substrate
 
 from nfv_torchrl.errors import ScenarioError
@@ -20,20 +19,15 @@ def duo_case(tolerable_delay: float, colocation: bool = False) -> Case:
     return Case(tables, rules, tables.vm_capacity[0].copy(), tables.link_capacity[0].copy(), DUO, 0, 3)
 
 
-def actions_of(planner, case: Case) -> list[int]:
-    plan = np.zeros(case.rules.max_steps, np.int64)
-    return plan[: planner.plan(*case.request, plan)].tolist()
-
-
 def test_greedy_takes_the_cheapest_vm_ahead_and_never_takes_it_back():
     """Paths from 0 to 3 and where A and B go: each time B takes VM 3.0 at $1, which needs 1000 ms.
 
     0-2-3: A 3.0, then B no longer fits there and takes 3.1: $3 + 10 + 80, 1100 ms. 0-1-2-3: A 1.0, B 3.0: $5 + 10 + 20,
     1545 ms. 0-1-3: the same VMs for $36, 1660 ms. 0-2-1-3: $36, 1825 ms.
     """
-    assert actions_of(GreedyPlanner(), duo_case(1050.0)) == []
-    assert actions_of(GreedyPlanner(), duo_case(1100.0)) == [action(2), action(3, 0, True), action(3, 1, True)]
-    assert actions_of(GreedyPlanner(), duo_case(1545.0)) == [action(1, 0, True), action(2), action(3, 0, True)]
+    assert plan_of(GreedyPlanner(), duo_case(1050.0)) == []
+    assert plan_of(GreedyPlanner(), duo_case(1100.0)) == [action(2), action(3, 0, True), action(3, 1, True)]
+    assert plan_of(GreedyPlanner(), duo_case(1545.0)) == [action(1, 0, True), action(2), action(3, 0, True)]
     assert planned_cost(GreedyPlanner(), duo_case(1100.0)) == pytest.approx(93.0)
     assert planned_cost(GreedyPlanner(), duo_case(1545.0)) == pytest.approx(35.0)
 
@@ -41,19 +35,19 @@ def test_greedy_takes_the_cheapest_vm_ahead_and_never_takes_it_back():
 def test_greedy_with_colocation_may_use_one_node_twice():
     """On 0-1-2-3 both go to VM 1.0: $5 + 10 + 20, 110 + 250 + 500 + 55 + 130 = 1045 ms."""
     expected = [action(1, 0, True), action(1, 0, True), action(2), action(3)]
-    assert actions_of(GreedyPlanner(), duo_case(1050.0, colocation=True)) == expected
+    assert plan_of(GreedyPlanner(), duo_case(1050.0, colocation=True)) == expected
 
 
 def test_greedy_looks_at_no_more_paths_than_it_may():
-    assert actions_of(GreedyPlanner(paths=2), duo_case(1545.0)) == actions_of(GreedyPlanner(), duo_case(1545.0))
-    assert len(actions_of(GreedyPlanner(paths=1), duo_case(1545.0))) == 3
+    assert plan_of(GreedyPlanner(paths=2), duo_case(1545.0)) == plan_of(GreedyPlanner(), duo_case(1545.0))
+    assert len(plan_of(GreedyPlanner(paths=1), duo_case(1545.0))) == 3
     assert planned_cost(GreedyPlanner(paths=1), duo_case(1545.0)) == pytest.approx(93.0)
 
 
 def test_tabu_starts_where_greedy_found_nothing():
     """Moving B from 3.0 to 2.0 on path 0-1-2-3 is one move from what greedy tried, and the optimum."""
-    assert actions_of(TabuPlanner(), duo_case(1050.0)) == DUO_0_TO_3[2]
-    assert actions_of(TabuPlanner(iterations=0), duo_case(1050.0)) == []
+    assert plan_of(TabuPlanner(), duo_case(1050.0)) == DUO_0_TO_3[2]
+    assert plan_of(TabuPlanner(iterations=0), duo_case(1050.0)) == []
     assert planned_cost(TabuPlanner(iterations=0), duo_case(1100.0)) == pytest.approx(93.0)
 
 
@@ -79,7 +73,7 @@ def test_order_of_costs_on_tight_requests(colocation):
 def test_planners_repeat_themselves():
     case = tight_case(3, True)
     for planner in (GreedyPlanner(), TabuPlanner()):
-        assert actions_of(planner, case) == actions_of(planner, case)
+        assert plan_of(planner, case) == plan_of(planner, case)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import torch
 from toy import DUO, toy_scenario, workload_of
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import LearnedPricesMethod, PlannerMethod
+from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.runner import run_method, scenario_for
 from nfv_torchrl.networks.prices import PriceHead, PriceNetwork
 from nfv_torchrl.planners import MyopicPlanner
@@ -20,9 +20,6 @@ from nfv_torchrl.planners.learned_prices import (
     LINK_FEATURES,
     VM_FEATURES,
     LearnedPrices,
-    make_price_scratch,
-    measures,
-    plan_learned,
 )
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator import Simulator
@@ -44,8 +41,8 @@ def network(seed: int | None = None, hidden: int = 3) -> PriceNetwork:
     return made
 
 
-def learned(made: PriceNetwork) -> LearnedPricesMethod:
-    return LearnedPricesMethod(LearnedPrices(made.weights()))
+def learned(made: PriceNetwork) -> PlannerMethod:
+    return PlannerMethod(LearnedPrices(made.weights()), name="learned_prices")
 
 
 def planned(made: PriceNetwork, *, observe_lifetime=False, use=()):
@@ -57,10 +54,10 @@ def planned(made: PriceNetwork, *, observe_lifetime=False, use=()):
     for node, vm, units in use:
         world.ledger.vm_offered[0, node, vm] -= units
         world.env["vm_used"][0] += units
-    scratch = make_price_scratch(simulator.tables)
-    plan = np.zeros(100, np.int64)
-    steps = plan_learned(world, 0, made.weights(), measures(simulator), scratch, plan)
-    return steps, scratch.search
+    planner = LearnedPrices(made.weights())
+    lengths = np.zeros(1, np.int64)
+    planner.plan_rows(world, np.zeros(1, np.int64), np.zeros((1, 100), np.int64), lengths)
+    return lengths[0], planner.own.search
 
 
 @torch.no_grad()
@@ -142,7 +139,6 @@ def test_whole_horizons_in_one_call_are_those_of_the_method():
         simulator = Simulator(scenario_for(scenario, method), 1)
         workload = scenario.workload(0)
         simulator.start(0, workload)
-        method.planner.prepare(simulator)
         costs = np.full(len(workload), -1.0)
         method.planner.play(simulator, 0, costs)
         np.testing.assert_array_equal(costs, record.cost)
@@ -166,11 +162,11 @@ def test_the_compiled_functions_are_the_networks():
     simulator.world.ledger.link_offered[0, 4] //= 2
     x[0, 3] = 1 / (1 + 5)  # rate 1 of 5 that are free
     x[0, 5] = 0.5 * math.log(30 / 25)
-    scratch = make_price_scratch(simulator.tables)
-    plan_learned(simulator.world, 0, made.weights(), measures(simulator), scratch, np.zeros(100, np.int64))
+    planner = LearnedPrices(made.weights())
+    planner.plan_rows(simulator.world, np.zeros(1, np.int64), np.zeros((1, 100), np.int64), np.zeros(1, np.int64))
     expected = 2.0 + 0.5 * max(head(x).item(), 0.0) * 4 * 16 / 6
     assert head(x).item() > 0
-    assert scratch.search.link_price[4] == pytest.approx(expected, rel=1e-6)
+    assert planner.own.search.link_price[4] == pytest.approx(expected, rel=1e-6)
 
 
 @torch.no_grad()

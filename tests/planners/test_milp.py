@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from exhaustive import Case, cheapest_by_trying, checked_cost, planned_cost, tight_case
+from exhaustive import Case, cheapest_by_trying, checked_cost, plan_of, planned_cost, tight_case
 from tight_instances import tight_instance
 
 from nfv_torchrl.errors import ScenarioError
@@ -15,21 +15,14 @@ from nfv_torchrl.planners.milp import MilpPlanner, Request, embed_request, embed
 from nfv_torchrl.planners.myopic import MyopicPlanner
 from nfv_torchrl.scenario.services import ServiceCatalogue, ServiceType
 from nfv_torchrl.scenario.substrate import Substrate
+from nfv_torchrl.simulator.state import new_world
 from nfv_torchrl.simulator.tables import Rules, build_tables
 
 TIGHT_INSTANCES = 200
 
 
 def solved(case: Case, form: str = "walk"):
-    return embed_request(
-        case.tables,
-        case.rules,
-        0,
-        case.vm_offered,
-        case.link_offered,
-        Request(case.service, case.ingress, case.egress),
-        form,
-    )
+    return embed_request(case.world, 0, form)
 
 
 @pytest.mark.parametrize("colocation", [False, True])
@@ -101,16 +94,18 @@ def line_network(*, chain=("A", "B"), tau=1000.0, capacities=(5.0, 5.0, 100.0), 
     return build_tables([substrate], catalogue)
 
 
-def offered(tables):
-    return tables.vm_capacity[0].copy(), tables.link_capacity[0].copy()
+def case_of(tables, colocation: bool, request: tuple[int, int, int], max_steps: int = 100) -> Case:
+    """A request on the empty network."""
+    offered = tables.vm_capacity[0].copy(), tables.link_capacity[0].copy()
+    return Case(tables, Rules(colocation, False, False, max_steps), *offered, *request)
 
 
 def test_a_chain_through_the_egress_and_back_by_hand():
     """From 0 to 1 with room at 2 alone: A and B cost 30 * $3, links 0-1, 1-2, 2-1 $1 each. No walk passes node 1."""
     tables = line_network()
-    rules, request = Rules(True, False, False, 100), Request(0, 0, 1)
-    assert embed_request(tables, rules, 0, *offered(tables), request) is None
-    found = embed_request(tables, rules, 0, *offered(tables), request, "problem")
+    case = case_of(tables, True, (0, 0, 1))
+    assert solved(case) is None
+    found = solved(case, "problem")
     assert found.cost == pytest.approx(93.0)
     # Each link 10 + 100 ms; A 1000 * 10 / 100 = 100 ms, B 200 ms.
     assert found.delay == pytest.approx(630.0)
@@ -124,25 +119,25 @@ def test_a_walk_without_colocation_bounces_by_hand():
     A 10 + B 20 + 6 crossings = 36, of link 0-1 five; colocated at the ingress 10 + 20 + 2 = 32.
     """
     tables = line_network(capacities=(100.0, 100.0, 5.0))
-    walk = embed_request(tables, Rules(False, False, False, 100), 0, *offered(tables), Request(0, 0, 2))
+    walk = solved(case_of(tables, False, (0, 0, 2)))
     assert walk.cost == pytest.approx(36.0)
     assert walk.steps == ((1, 0, None), (0, 0, 0), (1, 0, None), (0, 0, 1), (1, 0, None), (2, 0, None))
     assert walk.actions(1).tolist() == [2, 1, 2, 1, 2, 4]
-    colocated = embed_request(tables, Rules(True, False, False, 100), 0, *offered(tables), Request(0, 0, 2))
+    colocated = solved(case_of(tables, True, (0, 0, 2)))
     assert colocated.cost == pytest.approx(32.0)
     assert colocated.steps == ((0, 0, 0), (0, 0, 1), (1, 0, None), (2, 0, None))
-    short = embed_request(tables, Rules(True, False, False, 3), 0, *offered(tables), Request(0, 0, 2))
+    short = solved(case_of(tables, True, (0, 0, 2), max_steps=3))
     assert short.cost == pytest.approx(52.0)  # A at 0 ($10), hop to 1 with B ($40), on to 2: $2 of links
-    assert embed_request(tables, Rules(False, False, False, 3), 0, *offered(tables), Request(0, 0, 2)) is None
+    assert solved(case_of(tables, False, (0, 0, 2), max_steps=3)) is None
 
 
 @pytest.mark.parametrize(("room", "cost"), [(5_000_000, 36.0), (4_999_999, 44.0), (3_000_000, 44.0), (2_999_999, None)])
 def test_every_crossing_of_a_link_takes_room(room, cost):
     """As above; with room for three crossings A goes to 1 ($20), B to 0 ($20), and 4 links are crossed in all."""
     tables = line_network(capacities=(100.0, 100.0, 5.0))
-    vms, links = offered(tables)
-    links[0] = room
-    found = embed_request(tables, Rules(False, False, False, 100), 0, vms, links, Request(0, 0, 2))
+    case = case_of(tables, False, (0, 0, 2))
+    case.link_offered[0] = room
+    found = solved(case)
     assert (None if found is None else found.cost) == (None if cost is None else pytest.approx(cost))
 
 
@@ -152,14 +147,13 @@ def test_a_slot_is_admitted_together_by_hand():
     One by one the first two take the cheap VMs; the third can still use the egress, where room for one is left.
     """
     tables = line_network(chain=("A",), tau=2000.0, capacities=(10.0, 10.0, 10.0))
-    rules = Rules(True, False, False, 100)
+    case = case_of(tables, True, (0, 0, 2))
     requests = [Request(0, 0, 2), Request(0, 1, 2), Request(0, 0, 2)]
-    found = embed_slot(tables, rules, 0, *offered(tables), requests)
+    found = embed_slot(case.world, 0, requests)
     # VMs 10 + 20 + 30, links 2 + 1 + 2: no other assignment is cheaper, as links cost the same for all.
     assert sum(e.cost for e in found) == pytest.approx(65.0)
-    vms, links = offered(tables)
-    vms[2] = 0
-    found = embed_slot(tables, rules, 0, vms, links, requests)
+    case.vm_offered[2] = 0
+    found = embed_slot(case.world, 0, requests)
     assert sum(e is not None for e in found) == 2
     # The dearest to serve is left out: 10 + 20 of VMs, and the request from 1 crosses one link less.
     assert sum(e.cost for e in found if e) == pytest.approx(33.0)
@@ -220,7 +214,7 @@ def test_two_requests_together_against_all_pairs_of_walks(colocation):
         )
         single = min([*cost_a, *cost_b], default=math.inf)
         requests = [Request(0, c.ingress, c.egress) for c in (case, other)]
-        found = embed_slot(case.tables, case.rules, 0, case.vm_offered, case.link_offered, requests)
+        found = embed_slot(case.world, 0, requests)
         accepted = [e for e in found if e is not None]
         expected = 2 if math.isfinite(pair_cost) else int(math.isfinite(single))
         assert len(accepted) == expected
@@ -237,22 +231,20 @@ def test_two_requests_together_against_all_pairs_of_walks(colocation):
 
 def test_a_batch_is_planned_row_by_row():
     case = tight_case(3, True)
-    planner = MilpPlanner()
+    world = new_world(case.tables, case.rules, np.zeros(3, np.int64), 1, 0, False, False)
+    world.ledger.vm_offered[:], world.ledger.link_offered[:] = case.vm_offered, case.link_offered
+    world.env["service"], world.env["ingress"], world.env["egress"] = case.service, case.ingress, case.egress
     plans, lengths = np.full((3, case.rules.max_steps), -1), np.full(3, -7)
-    stacked = [np.stack([x] * 3) for x in (case.vm_offered, case.link_offered)]
-    ends = [np.full(3, x) for x in (case.service, case.ingress, case.egress)]
-    planner.plan_batch(case.tables, case.rules, np.array([0, 2]), np.zeros(3, int), *stacked, *ends, plans, lengths)
-    alone = np.full(case.rules.max_steps, -1)
-    steps = planner.plan(*case.request, alone)
-    assert lengths.tolist() == [steps, -7, steps]
-    assert np.array_equal(plans[2], alone)
+    MilpPlanner().plan_rows(world, np.array([0, 2]), plans, lengths)
+    alone = plan_of(MilpPlanner(), case)
+    assert lengths.tolist() == [len(alone), -7, len(alone)]
+    assert plans[2, : lengths[2]].tolist() == alone
 
 
 def test_bad_input_is_refused():
-    tables = line_network()
-    rules = Rules(True, False, False, 100)
+    world = case_of(line_network(), True, (0, 0, 1)).world
     with pytest.raises(ScenarioError, match="two different end nodes"):
-        embed_request(tables, rules, 0, *offered(tables), Request(0, 1, 1))
+        embed_slot(world, 0, [Request(0, 1, 1)])
     with pytest.raises(ScenarioError, match="unknown form"):
-        embed_request(tables, rules, 0, *offered(tables), Request(0, 0, 1), "paper")
-    assert embed_slot(tables, rules, 0, *offered(tables), []) == []
+        embed_request(world, 0, "paper")
+    assert embed_slot(world, 0, []) == []

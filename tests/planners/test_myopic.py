@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from exhaustive import Case, cheapest_by_trying, checked_cost, planned_cost, tight_case
+from exhaustive import Case, cheapest_by_trying, checked_cost, plan_of, planned_cost, tight_case
 from numba import njit
 from toy import (
     DUO,
@@ -20,8 +20,10 @@ from toy import (
     toy_substrate,
 )
 
-from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner, PricedPlanner, TabuPlanner, make_scratch, plan_cheapest
-from nfv_torchrl.planners.cheapest import grow_scratch
+from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner, PricedPlanner, TabuPlanner
+from nfv_torchrl.search.cheapest import grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.search.walks import Prices
+from nfv_torchrl.simulator.state import new_world
 from nfv_torchrl.simulator.tables import Rules, build_tables
 
 INSTANCES = 300
@@ -35,9 +37,7 @@ def toy_case(service: int, ingress: int, egress: int, colocation: bool = False, 
 
 def assert_plans(case: Case, expected: tuple[float, float, list[int]]) -> None:
     cost, _, actions = expected
-    plan = np.zeros(case.rules.max_steps, np.int64)
-    steps = MyopicPlanner().plan(*case.request, plan)
-    assert plan[:steps].tolist() == actions
+    assert plan_of(MyopicPlanner(), case) == actions
     assert checked_cost(case, actions) == pytest.approx(cost, abs=1e-9)
 
 
@@ -59,8 +59,8 @@ def test_results_tell_cost_and_delay():
     scratch = make_scratch(case.tables)
     plan = np.zeros(100, np.int64)
     tables = case.tables
-    doubled = (2 * tables.vm_unit_cost[0], 2 * tables.link_unit_cost[0])
-    steps = plan_cheapest(*case.request[:5], *doubled, *case.request[5:], scratch, plan)
+    doubled = Prices(2 * tables.vm_unit_cost[0], 2 * tables.link_unit_cost[0])
+    steps = plan_cheapest(case.world, 0, doubled, scratch, plan)
     assert steps == 3
     assert scratch.result == pytest.approx([2 * DUO_0_TO_3[0], *DUO_0_TO_3[:2]], abs=1e-9)
 
@@ -74,7 +74,7 @@ def test_agrees_with_trying_every_walk(colocation):
         planner = MyopicPlanner()
         assert planned_cost(planner, case) == pytest.approx(expected, abs=1e-9), f"seed {seed}"
         tight["infeasible"] += expected == math.inf
-        tight["own use"] += bool(planner._scratch.critical.tracked[0] > 0)
+        tight["own use"] += bool(planner.own.critical.tracked[0] > 0)
         tight["delay"] += _changes(case, expected, tables=case.tables._replace(tolerable_delay=np.array([1e9])))
         tight["steps"] += _changes(case, expected, rules=case.rules._replace(max_steps=100))
         free = case._replace(vm_offered=case.tables.vm_capacity[0], link_offered=case.tables.link_capacity[0])
@@ -100,7 +100,7 @@ def test_any_prices(colocation):
         # Trying every walk takes its costs from the tables.
         priced = case.tables._replace(vm_unit_cost=vm_price[None], link_unit_cost=link_price[None])
         scratch = make_scratch(case.tables)
-        steps = plan_cheapest(*case.request[:5], vm_price, link_price, *case.request[5:], scratch, plan)
+        steps = plan_cheapest(case.world, 0, Prices(vm_price, link_price), scratch, plan)
         expected = cheapest_by_trying(case._replace(tables=priced))
         assert scratch.result[0] == pytest.approx(expected, abs=1e-9), f"seed {seed}"
         if steps:
@@ -117,9 +117,9 @@ def test_scratch_grows(colocation):
     overflows = 0
     for seed in range(50):
         case = tight_case(seed, colocation)
-        prices = (case.tables.vm_unit_cost[0], case.tables.link_unit_cost[0])
+        prices = Prices(case.tables.vm_unit_cost[0], case.tables.link_unit_cost[0])
         scratch = make_scratch(case.tables, pool=8, columns=1)
-        while (steps := plan_cheapest(*case.request[:5], *prices, *case.request[5:], scratch, plan)) == -1:
+        while (steps := plan_cheapest(case.world, 0, prices, scratch, plan)) == -1:
             scratch = grow_scratch(case.tables, scratch)
             overflows += 1
         cost = checked_cost(case, plan[:steps].tolist()) if steps else math.inf
@@ -129,41 +129,33 @@ def test_scratch_grows(colocation):
 
 @pytest.mark.parametrize("planner", [MyopicPlanner, PricedPlanner, GreedyPlanner, TabuPlanner])
 def test_batch_is_the_same_as_one_by_one(planner):
-    cases = [tight_case(seed, True) for seed in range(12)]
-    case = cases[0]
+    case = tight_case(0, True)
     rng = np.random.default_rng(0)
     rows = np.array([0, 2, 3, 5, 6, 7])
-    vm_offered = (case.vm_offered * rng.random((8, 1, 1))).astype(np.int64)
-    link_offered = rng.choice([0, 5_000_000, 8_000_000], (8, case.link_offered.size))
-    ingress = rng.integers(0, 3, 8)
-    egress = ingress + 1
-    nothing = np.zeros(8, np.int64)
-    plans, lengths = np.full((8, 8), -7), np.full(8, -7)
     rules = case.rules._replace(max_steps=8)
-    batch, single = planner(), planner()
-    batch.prepare(case.tables, rules)
-    batch.plan_batch(
-        case.tables, rules, rows, nothing, vm_offered, link_offered, nothing, ingress, egress, plans, lengths
-    )
+    world = new_world(case.tables, rules, np.zeros(8, np.int64), 1, 0, False, False)
+    world.ledger.vm_offered[:] = (case.vm_offered * rng.random((8, 1, 1))).astype(np.int64)
+    world.ledger.link_offered[:] = rng.choice([0, 5_000_000, 8_000_000], (8, case.link_offered.size))
+    world.env["ingress"] = rng.integers(0, 3, 8)
+    world.env["egress"] = world.env["ingress"] + 1
+    plans, lengths = np.full((8, 8), -7), np.full(8, -7)
+    planner().plan_rows(world, rows, plans, lengths)
     for b in range(8):
-        plan = np.full(8, -7)
-        steps = -7
-        if b in rows:
-            request = (vm_offered[b], link_offered[b], 0, int(ingress[b]), int(egress[b]))
-            steps = single.plan(case.tables, rules, 0, *request, plan)
-        assert lengths[b] == steps
-        assert plans[b].tolist() == plan.tolist()
+        if b not in rows:
+            assert lengths[b] == -7 and (plans[b] == -7).all()
+            continue
+        ends = (int(world.env["ingress"][b]), int(world.env["egress"][b]))
+        alone = Case(case.tables, rules, world.ledger.vm_offered[b], world.ledger.link_offered[b], 0, *ends)
+        assert plans[b, : lengths[b]].tolist() == plan_of(planner(), alone)
+        assert (plans[b, lengths[b] :] == -7).all()
     assert 0 < np.sum(lengths > 0) < len(rows)
 
 
 @njit
-def _plan_often(request, vm_price, link_price, scratch, plan, times):
+def _plan_often(world, prices, scratch, plan, times):
     total = 0
     for _ in range(times):
-        tables, rules, net, vm_offered, link_offered, service, ingress, egress = request
-        total += plan_cheapest(
-            tables, rules, net, vm_offered, link_offered, vm_price, link_price, service, ingress, egress, scratch, plan
-        )
+        total += plan_cheapest(world, 0, prices, scratch, plan)
     return total
 
 
@@ -171,9 +163,10 @@ def test_compiled_callers_keep_their_arrays():
     """Kernels count no references; code compiled the usual way must be able to call them all the same."""
     case = toy_case(DUO, 0, 3)
     scratch, plan = make_scratch(case.tables), np.zeros(100, np.int64)
-    arguments = (case.request, case.tables.vm_unit_cost[0], case.tables.link_unit_cost[0], scratch, plan)
+    world, prices = case.world, Prices(case.tables.vm_unit_cost[0], case.tables.link_unit_cost[0])
+    arguments = (world, prices, scratch, plan)
     assert _plan_often(*arguments, 2) == 6
-    watched = [*scratch.labels, *scratch.cost, *case.tables, case.vm_offered, plan]
+    watched = [*scratch.labels, *scratch.cost, *case.tables, *world.ledger, world.env, plan]
     before = [sys.getrefcount(array) for array in watched]
     assert _plan_often(*arguments, 500) == 1500
     assert [sys.getrefcount(array) for array in watched] == before

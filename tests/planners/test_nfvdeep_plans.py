@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 import torch
 from choosing import HASHED, LAST, actor_of
-from exhaustive import cheapest_by_trying, planned_cost, tight_case
+from exhaustive import Case, cheapest_by_trying, plan_of, planned_cost, tight_case
 from toy import DUO, action, toy_scenario
 
 from nfv_torchrl.errors import ScenarioError
@@ -45,9 +44,7 @@ def plan(planner, *, colocation=False, max_steps=100, links=None, **vms):
     for link, value in (links or {}).items():
         link_offered[link] = value * 1_000_000
     rules = Simulator(toy_scenario(colocation=colocation, max_steps=max_steps), 1).world.rules
-    out = np.full(max_steps, -1)
-    steps = planner.plan(tables, rules, 0, vm_offered, link_offered, DUO, 0, 3, out)
-    return out[:steps].tolist()
+    return plan_of(planner, Case(tables, rules, vm_offered, link_offered, DUO, 0, 3))
 
 
 def test_backtracking_by_hand():

@@ -8,8 +8,8 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from nfv_torchrl.planners.paths import grow_paths, make_candidates, make_paths, paths_between
 from nfv_torchrl.scenario import draw_random_substrate, paper_catalogue
+from nfv_torchrl.search.paths import Pair, grow_paths, make_candidates, make_paths, paths_between
 from nfv_torchrl.simulator.tables import build_tables
 
 
@@ -23,11 +23,12 @@ def test_agrees_with_networkx(count):
         graph = substrate.to_networkx()
         for ingress in range(substrate.num_nodes):
             for egress in range(ingress + 1, substrate.num_nodes):
+                pair = Pair(net, ingress, egress)
                 expected = list(islice(nx.shortest_simple_paths(graph, ingress, egress, "unit_cost"), count))
-                while (row := paths_between(tables, net, ingress, egress, paths, candidates)) == -1:
+                while (row := paths_between(tables, pair, paths, candidates)) == -1:
                     paths = grow_paths(paths)
                     grown += 1
-                assert row == paths_between(tables, net, ingress, egress, paths, candidates)
+                assert row == paths_between(tables, pair, paths, candidates)
                 assert _nodes_of(paths, row, count, ingress) == expected
                 _assert_links_join_nodes(substrate, paths, row, count, ingress)
     assert grown >= 3

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from exhaustive import Case, cheapest_by_trying, planned_cost, tight_case
+from exhaustive import Case, cheapest_by_trying, plan_of, planned_cost, tight_case
 from toy import DUO, action, toy_catalogue, toy_substrate
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
-from nfv_torchrl.planners.priced import fill_prices
+from nfv_torchrl.planners.priced import PriceRule, fill_prices
+from nfv_torchrl.search.walks import Prices
 from nfv_torchrl.simulator.tables import Rules, build_tables
 
 
@@ -21,7 +22,8 @@ def test_price_of_a_resource():
     vm_offered[0, 0] //= 2
     link_offered[3] = 0
     vm_price, link_price = np.zeros((4, 2)), np.zeros(5)
-    fill_prices(tables, 0, vm_offered, link_offered, 100.0, 3001.0, vm_price, link_price)
+    case = Case(tables, Rules(False, False, False, 100), vm_offered, link_offered, DUO, 0, 3)
+    fill_prices(case.world, 0, PriceRule(100.0, 3001.0, math.inf), Prices(vm_price, link_price))
     # Half used: 3 + 100 * (sqrt(3001) - 1) / 3000; empty: the unit cost; used up: the unit cost plus p.
     assert vm_price[0, 0] == pytest.approx(3.0 + (math.sqrt(3001.0) - 1.0) / 30.0)
     assert vm_price[1].tolist() == [1.0, 5.0]
@@ -41,11 +43,11 @@ def test_minimises_the_priced_cost(colocation):
     for seed in range(100):
         case = tight_case(seed, colocation)
         vm_price, link_price = np.zeros(case.vm_offered.shape), np.zeros(case.link_offered.shape)
-        fill_prices(case.tables, 0, case.vm_offered, case.link_offered, 50.0, 20.0, vm_price, link_price)
+        fill_prices(case.world, 0, PriceRule(50.0, 20.0, math.inf), Prices(vm_price, link_price))
         priced = case.tables._replace(vm_unit_cost=vm_price[None], link_unit_cost=link_price[None])
         planner = PricedPlanner(price=50.0, steepness=20.0)
         cost = planned_cost(planner, case)
-        assert planner._scratch.result[0] == pytest.approx(cheapest_by_trying(case._replace(tables=priced)), abs=1e-9)
+        assert planner.own.search.result[0] == pytest.approx(cheapest_by_trying(case._replace(tables=priced)), abs=1e-9)
         dearer += cost > planned_cost(MyopicPlanner(), case) + 1e-9
     assert dearer > 10
 
@@ -55,10 +57,8 @@ def test_refuses_what_is_too_dear():
     tables = build_tables([toy_substrate()], toy_catalogue())
     rules = Rules(False, False, False, 100)
     case = Case(tables, rules, tables.vm_capacity[0].copy(), tables.link_capacity[0].copy(), DUO, 0, 3)
-    plan = np.zeros(100, np.int64)
-    assert PricedPlanner(admit_threshold=54.9).plan(*case.request, plan) == 0
-    assert PricedPlanner(admit_threshold=55.1).plan(*case.request, plan) == 3
-    assert plan[:3].tolist() == [action(1, 0, True), action(2, 0, True), action(3)]
+    assert plan_of(PricedPlanner(admit_threshold=54.9), case) == []
+    assert plan_of(PricedPlanner(admit_threshold=55.1), case) == [action(1, 0, True), action(2, 0, True), action(3)]
 
 
 @pytest.mark.parametrize(

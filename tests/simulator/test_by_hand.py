@@ -7,8 +7,8 @@ from driving import assert_books_balance, begin, mask_of, outcome_of, play
 from strategies import Instance
 from toy import DUO, REJECT, SOLO, action, toy_catalogue, toy_scenario, workload_of
 
-from nfv_torchrl.planners.loading import Loader
 from nfv_torchrl.scenario.units import LEDGER_UNITS
+from nfv_torchrl.search.loading import Loader
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.reasons import Reason
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import inlined
+from nfv_torchrl.simulator.compiled import inlined
+from nfv_torchrl.simulator.steps import fits, link_cost, vm_cost, vm_delay
 
 
 class ToGo(NamedTuple):
@@ -47,19 +48,19 @@ def make_to_go(nodes: int, links: int, functions: int) -> ToGo:
 
 
 @inlined
-def fill_cost_to_go(problem, links, to_go):
+def fill_cost_to_go(problem, to_go):
     """Least price ($) from every (function, node) to the end of the request."""
-    for link in range(links):
-        fits = problem.link_offered[link] >= problem.rate_units
-        to_go.link_weight[link] = problem.link_price[link] * problem.rate if fits else np.inf
+    for link in range(problem.links):
+        carries = fits(problem.link_offered[link], problem.rate_units)
+        to_go.link_weight[link] = link_cost(problem.link_price[link], problem.rate) if carries else np.inf
     for node in range(problem.nodes):
         for i in range(problem.functions):
             to_go.place_weight[i, node] = np.inf
         for vm in range(problem.vm_count[node]):
             offered = problem.vm_offered[node, vm]
             for i in range(problem.functions):
-                if offered >= problem.load_units[i]:
-                    weight = problem.vm_price[node, vm] * problem.load[i]
+                if fits(offered, problem.load_units[i]):
+                    weight = vm_cost(problem.vm_price[node, vm], problem.load[i])
                     if weight < to_go.place_weight[i, node]:
                         to_go.place_weight[i, node] = weight
                         to_go.place_vm[i, node] = vm
@@ -67,17 +68,17 @@ def fill_cost_to_go(problem, links, to_go):
 
 
 @inlined
-def fill_delay_to_go(problem, links, to_go):
+def fill_delay_to_go(problem, to_go):
     """Least delay (ms) from every (function, node) to the end of the request."""
-    for link in range(links):
-        fits = problem.link_offered[link] >= problem.rate_units
-        to_go.link_weight[link] = problem.hop_delay[link] if fits else np.inf
+    for link in range(problem.links):
+        carries = fits(problem.link_offered[link], problem.rate_units)
+        to_go.link_weight[link] = problem.hop_delay[link] if carries else np.inf
     for node in range(problem.nodes):
         for i in range(problem.functions):
             to_go.place_weight[i, node] = np.inf
             for vm in range(problem.vm_count[node]):
-                if problem.vm_offered[node, vm] >= problem.load_units[i]:
-                    weight = 1000.0 * problem.load[i] / problem.vm_speed[node, vm]
+                if fits(problem.vm_offered[node, vm], problem.load_units[i]):
+                    weight = vm_delay(problem.load[i], problem.vm_speed[node, vm])
                     if weight < to_go.place_weight[i, node]:
                         to_go.place_weight[i, node] = weight
                         to_go.place_vm[i, node] = vm

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.units import to_ledger
+from nfv_torchrl.simulator.steps import link_cost, link_delay, vm_delay
 
 ALL_SETS_UP_TO = 10
 """Nodes up to which every set of nodes is looked at as a cut; 2^9 - 1 of them for 10."""
@@ -21,15 +22,15 @@ def least_delay(scenario: Scenario, service: int) -> np.ndarray:
     A relaxation: a link or VM used twice is not counted twice, and a walk may pass through the egress and go on.
     """
     substrate, rate = scenario.substrate, scenario.catalogue.rate[service]
-    hop = substrate.link_delay + 1000.0 * rate / substrate.link_capacity
+    hop = link_delay(substrate.link_delay, rate, substrate.link_capacity)
     speed = np.where(substrate.vm_capacity > 0, substrate.vm_capacity, 1.0)
-    return _least(scenario, service, hop, 1000.0 / speed)
+    return _least(scenario, service, hop, vm_delay(1.0, speed))
 
 
 def least_cost(scenario: Scenario, service: int) -> np.ndarray:
     """$ that a request of type ``service`` costs at least, delay ignored, float64 [N, N]; relaxed as the delay is."""
     substrate, rate = scenario.substrate, scenario.catalogue.rate[service]
-    return _least(scenario, service, substrate.link_unit_cost * rate, substrate.vm_unit_cost)
+    return _least(scenario, service, link_cost(substrate.link_unit_cost, rate), substrate.vm_unit_cost)
 
 
 def _least(scenario: Scenario, service: int, hop: np.ndarray, per_load: np.ndarray) -> np.ndarray:

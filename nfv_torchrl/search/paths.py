@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import kernel, part
-from nfv_torchrl.planners.walks import OVERFLOW
+from nfv_torchrl.search.walks import OVERFLOW
+from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.tables import Tables
 
 
@@ -29,6 +29,14 @@ class Paths(NamedTuple):
     hops: np.ndarray  # int64 [R * k]
     node: np.ndarray  # int32 [H]
     link: np.ndarray  # int32 [H]
+
+
+class Pair(NamedTuple):
+    """Two nodes of network ``net``, a row of the tables."""
+
+    net: int
+    ingress: int
+    egress: int
 
 
 class Candidates(NamedTuple):
@@ -99,24 +107,24 @@ def make_candidates(tables: Tables, paths: int) -> Candidates:
 
 
 @kernel
-def paths_between(tables, net, ingress, egress, paths, candidates):
-    """Row of the k cheapest simple paths from ``ingress`` to ``egress``, cheapest first.
+def paths_between(tables, pair, paths, candidates):
+    """Row of the k cheapest simple paths between the nodes of ``pair``, cheapest first.
 
     Returns:
         Row of ``paths``, OVERFLOW (-1) if there is no room: grow and call again.
     """
-    row = paths.row[net, ingress, egress]
+    row = _row_of(pair, paths)
     if row >= 0:
         return row
     count = candidates.cost.size
     row = paths.size[0]
-    if row >= paths.found.size or paths.size[1] + count * tables.num_nodes[net] > paths.node.size:
+    if row >= paths.found.size or paths.size[1] + count * tables.num_nodes[pair.net] > paths.node.size:
         return OVERFLOW
     paths.size[0] += 1
     paths.found[row] = 0
-    paths.row[net, ingress, egress] = row
+    paths.row[pair.net, pair.ingress, pair.egress] = row
     candidates.cost[:] = np.inf
-    _deviate(tables, net, ingress, egress, paths, candidates, row, -1, 0)
+    _deviate(tables, pair, paths, candidates, -1, 0)
     while paths.found[row] < count:
         best = np.argmin(candidates.cost)
         if candidates.cost[best] == np.inf:
@@ -125,8 +133,13 @@ def paths_between(tables, net, ingress, egress, paths, candidates):
         if accepted + 1 < count:
             number = row * count + accepted
             for hop in range(candidates.deviated_at[accepted], paths.hops[number]):
-                _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop)
+                _deviate(tables, pair, paths, candidates, number, hop)
     return row
+
+
+@part
+def _row_of(pair, paths):
+    return paths.row[pair.net, pair.ingress, pair.egress]
 
 
 @part
@@ -149,18 +162,19 @@ def _accept(paths, candidates, row, best):
 
 
 @part
-def _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop):
+def _deviate(tables, pair, paths, candidates, number, hop):
     """Cheapest path that shares the first ``hop`` hops with path ``number`` (-1: any) but no accepted path's next."""
+    row = _row_of(pair, paths)
     candidates.blocked_node[:] = False
     candidates.blocked_link[:] = False
-    spur = ingress
+    spur = pair.ingress
     root_cost = 0.0
     if number >= 0:
         start = paths.start[number]
         for h in range(hop):
             candidates.blocked_node[spur] = True
             spur = paths.node[start + h]
-            root_cost += tables.link_unit_cost[net, paths.link[start + h]]
+            root_cost += tables.link_unit_cost[pair.net, paths.link[start + h]]
         for place in range(paths.found[row]):
             other = paths.start[row * candidates.cost.size + place]
             shares = paths.hops[row * candidates.cost.size + place] > hop
@@ -168,7 +182,7 @@ def _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop):
                 shares = shares and paths.link[other + h] == paths.link[start + h]
             if shares:
                 candidates.blocked_link[paths.link[other + hop]] = True
-    cost = root_cost + _search(tables, net, spur, egress, candidates)
+    cost = root_cost + _search(tables, pair, spur, candidates)
     worst = np.argmax(candidates.cost)
     if not cost < candidates.cost[worst]:
         return
@@ -178,12 +192,12 @@ def _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop):
         candidates.node[worst, h] = paths.node[paths.start[number] + h]
         candidates.link[worst, h] = paths.link[paths.start[number] + h]
     tail = 0
-    node = egress
+    node = pair.egress
     while node != spur:
         tail += 1
         node = candidates.via_node[node]
     candidates.hops[worst] = hop + tail
-    node = egress
+    node = pair.egress
     for h in range(hop + tail - 1, hop - 1, -1):
         candidates.node[worst, h] = node
         candidates.link[worst, h] = candidates.via_link[node]
@@ -191,8 +205,9 @@ def _deviate(tables, net, ingress, egress, paths, candidates, row, number, hop):
 
 
 @part
-def _search(tables, net, spur, egress, candidates):
+def _search(tables, pair, spur, candidates):
     """Cost of the cheapest path that keeps off the blocked nodes and links, inf if none."""
+    net, egress = pair.net, pair.egress
     nodes = tables.num_nodes[net]
     for n in range(nodes):
         candidates.distance[n] = np.inf

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from nfv_torchrl.planners.cheapest import grow_scratch, make_scratch, plan_cheapest
-from nfv_torchrl.planners.compiled import kernel
-from nfv_torchrl.planners.playing import FINISHED, NO_ROOM, has_room, play_plan
-from nfv_torchrl.planners.walks import OVERFLOW
+from nfv_torchrl.search.cheapest import grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
+from nfv_torchrl.search.walks import OVERFLOW, Prices
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.compiled import kernel
 
 PRICE_NOISE = 0.3
 """Standard deviation of the logarithm of the factors on VM and link unit costs."""
 
 
 @kernel
-def forward_planned(world, b, slot, vm_price, link_price, scratch, plan):
+def forward_planned(world, b, slot, prices, scratch, plan):
     """Answer requests of environment b by ``plan_cheapest`` until ``slot``.
 
     Returns FINISHED, NO_ROOM if the simulator's pools run low, or OVERFLOW if the scratch must grow.
@@ -24,20 +24,7 @@ def forward_planned(world, b, slot, vm_price, link_price, scratch, plan):
     while e.slot < slot and e.done == 0:
         if not has_room(world, b):
             return NO_ROOM
-        steps = plan_cheapest(
-            world.tables,
-            world.rules,
-            e.net,
-            world.ledger.vm_offered[b],
-            world.ledger.link_offered[b],
-            vm_price,
-            link_price,
-            e.service,
-            e.ingress,
-            e.egress,
-            scratch,
-            plan,
-        )
+        steps = plan_cheapest(world, b, prices, scratch, plan)
         if steps == OVERFLOW:
             return OVERFLOW
         play_plan(world, b, steps, plan)
@@ -61,8 +48,9 @@ class Loader:
         tables, net = self.simulator.tables, self.simulator.world.env["net"][b]
         vm_price = tables.vm_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.vm_unit_cost[net].shape))
         link_price = tables.link_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.link_unit_cost[net].shape))
+        prices = Prices(vm_price, link_price)
         while True:
-            outcome = forward_planned(self.simulator.world, b, slot, vm_price, link_price, self._scratch, self._plan)
+            outcome = forward_planned(self.simulator.world, b, slot, prices, self._scratch, self._plan)
             if outcome == FINISHED:
                 break
             if outcome == NO_ROOM:

@@ -6,19 +6,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import kernel, part
-from nfv_torchrl.planners.labels import (
+from nfv_torchrl.search.labels import (
     FOUND,
     Critical,
     Labels,
+    Search,
     add_overused,
     begin_request,
     make_critical,
     make_labels,
     search_labels,
 )
-from nfv_torchrl.planners.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go
-from nfv_torchrl.planners.walks import OVERFLOW, Walk, encode_walk, make_problem, make_walk, walk_totals
+from nfv_torchrl.search.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go
+from nfv_torchrl.search.walks import (
+    OVERFLOW,
+    Prices,
+    Walk,
+    encode_walk,
+    make_problem,
+    make_walk,
+    unit_costs,
+    walk_totals,
+)
+from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.tables import Tables
 
 POOL = 4096
@@ -72,59 +82,35 @@ def grow_scratch(tables: Tables, scratch: Scratch) -> Scratch:
 
 
 @kernel
-def plan_cheapest(
-    tables,
-    rules,
-    net,
-    vm_offered,
-    link_offered,
-    vm_unit_price,
-    link_unit_price,
-    service,
-    ingress,
-    egress,
-    scratch,
-    plan,
-):
+def plan_cheapest(world, b, prices, scratch, plan):
     """Find the walk of least priced cost among all that Algorithm 3 of the paper would accept.
 
     A walk may cross a link and use a VM several times as long as the sums fit what is offered. Exact: no feasible walk
     is cheaper at the given prices (but for rounding).
 
     Args:
-        tables: ``Tables`` of the simulator.
-        rules: ``Rules`` of the scenario; colocation and max_steps matter here.
-        net: row of the tables.
-        vm_offered: ledger units available now, int64 [N, V].
-        link_offered: ledger units available now, int64 [L].
-        vm_unit_price: $ per Mcycles/s, any non-negative numbers, float64 [N, V].
-        link_unit_price: $ per Mbit/s, any non-negative numbers, float64 [L].
-        service: row of the catalogue.
-        ingress: node where the walk starts.
-        egress: node where it ends.
-        scratch: ``Scratch`` of these tables. ``scratch.result`` tells priced cost, true cost and delay afterwards.
+        world: the simulator's ``World``; only read.
+        b: environment whose request is planned.
+        prices: ``Prices``, any non-negative numbers.
+        scratch: ``Scratch`` of the tables. ``scratch.result`` tells priced cost, true cost and delay afterwards.
         plan: receives the actions, int64 [max_steps].
 
     Returns:
         Number of actions, 0 if the request has no feasible walk, OVERFLOW (-1) if the scratch must grow.
     """
-    problem = make_problem(
-        tables, rules, net, vm_offered, link_offered, vm_unit_price, link_unit_price, service, ingress, egress
-    )
+    problem = make_problem(world, b, prices)
     scratch.result[:] = np.inf
-    steps = _cheapest_walk(problem, tables.num_links[net], scratch)
+    steps = _cheapest_walk(problem, scratch)
     if steps <= 0:
         return steps
-    encode_walk(scratch.walk, steps, vm_offered.shape[1], plan)
-    scratch.result[0], scratch.result[2] = walk_totals(problem, scratch.walk, steps, vm_unit_price, link_unit_price)
-    scratch.result[1] = walk_totals(problem, scratch.walk, steps, tables.vm_unit_cost[net], tables.link_unit_cost[net])[
-        0
-    ]
+    encode_walk(scratch.walk, steps, problem.vm_offered.shape[1], plan)
+    scratch.result[0], scratch.result[2] = walk_totals(problem, prices, scratch.walk, steps)
+    scratch.result[1] = walk_totals(problem, unit_costs(world, b), scratch.walk, steps)[0]
     return steps
 
 
 @part
-def _cheapest_walk(problem, links, scratch):
+def _cheapest_walk(problem, scratch):
     """Steps of the best walk, written to ``scratch.walk``.
 
     The walk that is cheapest without delay limit and without counting repeated use is a by-product of the bounds; if
@@ -133,24 +119,24 @@ def _cheapest_walk(problem, links, scratch):
     """
     critical = scratch.critical
     begin_request(problem, critical)
-    fill_cost_to_go(problem, links, scratch.cost)
+    fill_cost_to_go(problem, scratch.cost)
     if scratch.cost.value[0, problem.ingress] == np.inf:
         return 0
     steps = _follow(problem, scratch.cost, scratch.walk)
-    in_time = walk_totals(problem, scratch.walk, steps, problem.vm_price, problem.link_price)[1] <= problem.budget
+    prices = Prices(problem.vm_price, problem.link_price)
+    in_time = walk_totals(problem, prices, scratch.walk, steps)[1] <= problem.budget
     outcome = _track(problem, scratch, steps)
     if outcome == OVERFLOW:
         return OVERFLOW
     if outcome == 0 and in_time:
         scratch.rounds[0] += 1
         return steps
-    fill_delay_to_go(problem, links, scratch.delay)
+    fill_delay_to_go(problem, scratch.delay)
+    search = Search(problem, scratch.cost.value, scratch.delay.value, scratch.labels, critical)
     searches = 0
     while True:
         searches += 1
-        found, steps = search_labels(
-            problem, scratch.cost.value, scratch.delay.value, scratch.labels, critical, scratch.walk
-        )
+        found, steps = search_labels(search, scratch.walk)
         if found == OVERFLOW:
             return OVERFLOW
         outcome = _track(problem, scratch, steps) if found == FOUND else 0

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import part
-from nfv_torchrl.planners.paths import Candidates, Paths, grow_paths, make_candidates, make_paths, paths_between
-from nfv_torchrl.planners.walks import OVERFLOW, Walk, make_walk
-from nfv_torchrl.simulator.tables import Rules, Tables
+from nfv_torchrl.search.paths import Candidates, Pair, Paths, grow_paths, make_candidates, make_paths, paths_between
+from nfv_torchrl.search.walks import OVERFLOW, Prices, Walk, encode_walk, make_walk, walk_totals
+from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.steps import fits, link_cost, vm_cost, vm_delay
+from nfv_torchrl.simulator.tables import Tables
 
 
 class Placing(NamedTuple):
@@ -31,7 +32,7 @@ class Placing(NamedTuple):
     walk: Walk
 
 
-def make_placing(tables: Tables, rules: Rules, paths: int) -> Placing:
+def make_placing(tables: Tables, paths: int) -> Placing:
     """Scratch for placements on ``paths`` paths a pair of nodes."""
     nodes, vms = tables.vm_capacity.shape[1:]
     functions = tables.load.shape[1]
@@ -78,9 +79,9 @@ def measure_path(problem, placing, number, j):
     placing.lacking[j] = 0
     for hop in range(paths.start[number], paths.start[number] + paths.hops[number]):
         link = paths.link[hop]
-        placing.link_cost[j] += problem.link_price[link] * problem.rate
+        placing.link_cost[j] += link_cost(problem.link_price[link], problem.rate)
         placing.link_delay[j] += problem.hop_delay[link]
-        if problem.link_offered[link] < problem.rate_units:
+        if not fits(problem.link_offered[link], problem.rate_units):
             placing.lacking[j] += 1
 
 
@@ -107,7 +108,7 @@ def place_in_order(problem, placing, number, position, vm, heed_capacity):
             node = node_at(problem, paths, number, at)
             for v in range(problem.vm_count[node]):
                 own = used[v] if at == before else 0
-                if heed_capacity and problem.vm_offered[node, v] - own < load:
+                if heed_capacity and not fits(problem.vm_offered[node, v] - own, load):
                     continue
                 if problem.vm_price[node, v] < least:
                     least = problem.vm_price[node, v]
@@ -136,8 +137,8 @@ def judge(problem, placing, number, j, position, vm):
     violation = float(placing.lacking[j])
     for i in range(problem.functions):
         node = node_at(problem, paths, number, position[i])
-        cost += problem.vm_price[node, vm[i]] * problem.load[i]
-        delay += 1000.0 * problem.load[i] / problem.vm_speed[node, vm[i]]
+        cost += vm_cost(problem.vm_price[node, vm[i]], problem.load[i])
+        delay += vm_delay(problem.load[i], problem.vm_speed[node, vm[i]])
         if position[i] == (position[i - 1] if i > 0 else 0):
             steps += 1
         taken = 0
@@ -179,7 +180,19 @@ def lay_walk(problem, placing, number, position, vm):
 
 
 @part
-def place_greedily(problem, tables, net, placing):
+def encode_placement(problem, placing, number, position, vm, plan):
+    """Write a feasible placement on path ``number`` as actions; returns how many, 0 if it fails the step checks."""
+    steps = lay_walk(problem, placing, number, position, vm)
+    # Delays are summed once more step by step, as the step checks do.
+    _, delay = walk_totals(problem, Prices(problem.vm_price, problem.link_price), placing.walk, steps)
+    if delay > problem.budget:
+        return 0
+    encode_walk(placing.walk, steps, problem.vm_offered.shape[1], plan)
+    return steps
+
+
+@part
+def place_greedily(problem, tables, placing):
     """Place the chain in order on each of the k paths.
 
     Paths where the functions do not fit get the placement that ignores capacities, so that every row is defined.
@@ -189,7 +202,8 @@ def place_greedily(problem, tables, net, placing):
         room for the paths.
     """
     paths = placing.paths
-    row = paths_between(tables, net, problem.ingress, problem.egress, paths, placing.candidates)
+    pair = Pair(problem.net, problem.ingress, problem.egress)
+    row = paths_between(tables, pair, paths, placing.candidates)
     if row == OVERFLOW:
         return row, -1
     best = -1

@@ -11,8 +11,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from nfv_torchrl.codec import vm_resource
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.simulator.tables import Rules, Tables
+from nfv_torchrl.simulator.state import World
+from nfv_torchrl.simulator.steps import fits, link_cost, vm_cost, vm_delay
 
 Form = Literal["walk", "problem"]
 """``walk``: what an agent can do. ``problem``: the paper's optimisation problem, eq. (main_prob)."""
@@ -25,6 +27,11 @@ class Request(NamedTuple):
     ingress: int
     egress: int
 
+    @classmethod
+    def of(cls, world: World, b: int) -> Request:
+        """The request that environment b is at."""
+        return cls(*(int(world.env[name][b]) for name in cls._fields))
+
 
 class LayeredGraph(NamedTuple):
     """Arcs of one request's layered graph, A of them. States are numbered 0 .. ``num_states`` - 1."""
@@ -36,7 +43,7 @@ class LayeredGraph(NamedTuple):
     head: np.ndarray  # int64 [A], state
     node: np.ndarray  # int64 [A], the network node where the arc ends
     link: np.ndarray  # int64 [A], -1 if no link is crossed
-    vm: np.ndarray  # int64 [A], node * V + v, -1 if nothing is placed
+    vm: np.ndarray  # int64 [A], number of the VM (``codec.vm_resource``), -1 if nothing is placed
     function: np.ndarray  # int64 [A], -1 if nothing is placed
     steps: np.ndarray  # int64 [A], actions the arc stands for
     cost: np.ndarray  # float64 [A], $
@@ -47,29 +54,21 @@ class _Arc(NamedTuple):
     tail: int
     head: int
     node: int
-    link: int
-    vm: int
-    function: int
-    steps: int
+    link: int = -1
+    vm: int = -1
+    function: int = -1
+    steps: int = 0
 
 
-def layered_graph(
-    tables: Tables,
-    rules: Rules,
-    net: int,
-    vm_offered: np.ndarray,
-    link_offered: np.ndarray,
-    request: Request,
-    form: Form,
-) -> LayeredGraph:
-    """Build the graph of one request on what the network offers now.
+def layered_graph(world: World, b: int, request: Request, form: Form) -> LayeredGraph:
+    """Build the graph of one request on what the network of environment b offers now.
 
     Args:
-        net: row of ``tables``.
-        vm_offered: int64 [N, V], cycles/s that each VM has left (0 if failed).
-        link_offered: int64 [L], bit/s that each link has left.
+        world: the simulator's world.
+        b: environment.
+        request: any request, be it the one that the environment is at or not.
         form: with ``"walk"`` every source-sink path is a walk the mask allows (and every such walk without useless
-            loops is a path); with ``"problem"`` placements and routing are free and ``rules`` does not matter.
+            loops is a path); with ``"problem"`` placements and routing are free and the rules of a step do not matter.
 
     Arcs whose link or VM cannot carry the request even once are left out.
 
@@ -78,9 +77,9 @@ def layered_graph(
     """
     if request.ingress == request.egress:
         raise ScenarioError(f"a request needs two different end nodes; both are node {request.ingress}")
-    builder = _Builder(tables, net, vm_offered, link_offered, request)
+    builder = _Builder(world, b, request)
     if form == "walk":
-        builder.add_walk_arcs(rules.colocation)
+        builder.add_walk_arcs(world.rules.colocation)
     elif form == "problem":
         builder.add_problem_arcs()
     else:
@@ -94,18 +93,17 @@ class _Builder:
     The flag is needed by the walk alone: only a hop may carry a placement with it (one function a hop, one action).
     """
 
-    def __init__(
-        self, tables: Tables, net: int, vm_offered: np.ndarray, link_offered: np.ndarray, request: Request
-    ) -> None:
+    def __init__(self, world: World, b: int, request: Request) -> None:
+        tables, net = world.tables, int(world.env["net"][b])
         self.tables, self.net, self.request = tables, net, request
         self.nodes = int(tables.num_nodes[net])
         self.chain = int(tables.chain_length[request.service])
         self.loads = tables.load_units[request.service, : self.chain]
         self.arcs: list[_Arc] = []
         self.max_vms = tables.vm_capacity.shape[2]
-        self.vm_offered = vm_offered
+        self.vm_offered, link_offered = world.ledger.vm_offered[b], world.ledger.link_offered[b]
         links = range(int(tables.num_links[net]))
-        self.links = [link for link in links if link_offered[link] >= tables.rate_units[request.service]]
+        self.links = [link for link in links if fits(link_offered[link], tables.rate_units[request.service])]
 
     def state(self, placed: int, node: int, moved: bool = False) -> int:
         return (placed * self.nodes + node) * 2 + int(moved)
@@ -115,10 +113,12 @@ class _Builder:
         for placed in range(self.chain + 1):
             for tail, head, link in self.directed_links():
                 if tail != egress:  # once at the egress, a walk stays there
-                    self.add(self.state(placed, tail), self.state(placed, head, True), head, link=link, steps=1)
+                    self.arcs.append(
+                        _Arc(self.state(placed, tail), self.state(placed, head, True), head, link, steps=1)
+                    )
             for node in range(self.nodes):
                 arrived, resting = self.state(placed, node, True), self.state(placed, node)
-                self.add(arrived, resting, node)  # forward only
+                self.arcs.append(_Arc(arrived, resting, node))  # forward only
                 self.add_placements(arrived, placed, node, steps=0)  # the hop has counted as the step
                 if colocation or node == egress:
                     self.add_placements(resting, placed, node, steps=1)
@@ -126,7 +126,7 @@ class _Builder:
     def add_problem_arcs(self) -> None:
         for placed in range(self.chain + 1):
             for tail, head, link in self.directed_links():
-                self.add(self.state(placed, tail), self.state(placed, head), head, link=link, steps=1)
+                self.arcs.append(_Arc(self.state(placed, tail), self.state(placed, head), head, link, steps=1))
             for node in range(self.nodes):
                 self.add_placements(self.state(placed, node), placed, node, steps=1)
 
@@ -139,14 +139,11 @@ class _Builder:
         if placed == self.chain:
             return
         for v in range(int(self.tables.vm_count[self.net, node])):
-            if self.vm_offered[node, v] >= self.loads[placed]:
+            if fits(self.vm_offered[node, v], self.loads[placed]):
                 head = self.state(placed + 1, node)
-                self.add(tail, head, node, vm=node * self.max_vms + v, function=placed, steps=steps)
-
-    def add(
-        self, tail: int, head: int, node: int, link: int = -1, vm: int = -1, function: int = -1, steps: int = 0
-    ) -> None:
-        self.arcs.append(_Arc(tail, head, node, link, vm, function, steps))
+                self.arcs.append(
+                    _Arc(tail, head, node, vm=vm_resource(node, v, self.max_vms), function=placed, steps=steps)
+                )
 
     def finish(self) -> LayeredGraph:
         columns = np.array(self.arcs, dtype=np.int64).reshape(-1, len(_Arc._fields)).T
@@ -169,8 +166,8 @@ class _Builder:
         crossing, placing = np.asarray(arcs.link) >= 0, np.asarray(arcs.vm) >= 0
         link, vm = np.asarray(arcs.link)[crossing], np.asarray(arcs.vm)[placing]
         load = tables.load[service, np.asarray(arcs.function)[placing]]
-        cost[crossing] = tables.link_unit_cost[net, link] * tables.rate[service]
+        cost[crossing] = link_cost(tables.link_unit_cost[net, link], tables.rate[service])
         delay[crossing] = tables.hop_delay[net, service, link]
-        cost[placing] = tables.vm_unit_cost[net].ravel()[vm] * load
-        delay[placing] = 1000.0 * load / tables.vm_speed[net].ravel()[vm]
+        cost[placing] = vm_cost(tables.vm_unit_cost[net].ravel()[vm], load)
+        delay[placing] = vm_delay(load, tables.vm_speed[net].ravel()[vm])
         return cost, delay

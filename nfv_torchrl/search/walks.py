@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import inlined
+from nfv_torchrl.codec import encode_action
+from nfv_torchrl.simulator.compiled import inlined
+from nfv_torchrl.simulator.steps import link_cost, vm_cost, vm_delay
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
 OVERFLOW = -1
-"""What a planner kernel returns when its scratch arrays are too small: grow them and call again."""
+"""What a search returns when its scratch arrays are too small: grow them and call again."""
 
 
 class Problem(NamedTuple):
@@ -19,7 +21,9 @@ class Problem(NamedTuple):
     Arrays are views of the simulator's tables and of the caller's prices; ledger units are bit/s and cycles/s.
     """
 
+    net: int  # row of the tables
     nodes: int
+    links: int
     functions: int
     ingress: int
     egress: int
@@ -42,6 +46,13 @@ class Problem(NamedTuple):
     link_price: np.ndarray  # float64 [L], $ per Mbit/s
 
 
+class Prices(NamedTuple):
+    """What an embedding is charged by: the unit costs of a network, or any other non-negative numbers."""
+
+    vm: np.ndarray  # float64 [N, V], $ per Mcycles/s
+    link: np.ndarray  # float64 [L], $ per Mbit/s
+
+
 class Walk(NamedTuple):
     """Steps of a walk, int64 [J] each: node gone to, link used (-1: none), VM placed on (-1: only forwarded)."""
 
@@ -56,13 +67,24 @@ def make_walk(steps: int) -> Walk:
 
 
 @inlined
-def make_problem(tables, rules, net, vm_offered, link_offered, vm_price, link_price, service, ingress, egress):
-    """Collect what ``service`` from ``ingress`` to ``egress`` meets on network ``net`` into a ``Problem``."""
+def unit_costs(world, b):
+    """The unit costs of environment b's network."""
+    net = world.env[b].net
+    return Prices(world.tables.vm_unit_cost[net], world.tables.link_unit_cost[net])
+
+
+@inlined
+def make_problem(world, b, prices):
+    """Collect the request of environment b, and what its network offers now, into a ``Problem``."""
+    tables, rules, e = world.tables, world.rules, world.env[b]
+    net, service = e.net, e.service
     return Problem(
+        net,
         tables.num_nodes[net],
+        tables.num_links[net],
         tables.chain_length[service],
-        ingress,
-        egress,
+        e.ingress,
+        e.egress,
         rules.colocation,
         tables.tolerable_delay[service] + DELAY_TOLERANCE,
         rules.max_steps,
@@ -76,38 +98,36 @@ def make_problem(tables, rules, net, vm_offered, link_offered, vm_price, link_pr
         tables.vm_count[net],
         tables.vm_speed[net],
         tables.hop_delay[net, service],
-        vm_offered,
-        link_offered,
-        vm_price,
-        link_price,
+        world.ledger.vm_offered[b],
+        world.ledger.link_offered[b],
+        prices.vm,
+        prices.link,
     )
 
 
 @inlined
 def encode_walk(walk, steps, vms, plan):
-    """Write the actions of ``walk`` into ``plan``: 2 * (node * V + vm) + placed; a forwarding hop names VM 0."""
+    """Write the actions of ``walk`` into ``plan``; a forwarding hop names VM 0."""
     for j in range(steps):
-        if walk.vm[j] >= 0:
-            plan[j] = 2 * (walk.node[j] * vms + walk.vm[j]) + 1
-        else:
-            plan[j] = 2 * walk.node[j] * vms
+        places = walk.vm[j] >= 0
+        plan[j] = encode_action(walk.node[j], walk.vm[j] if places else 0, places, vms)
 
 
 @inlined
-def walk_totals(problem, walk, steps, vm_unit_cost, link_unit_cost):
-    """Cost ($, at the given unit costs) and delay (ms) of a walk, summed in the order of its steps."""
+def walk_totals(problem, prices, walk, steps):
+    """Cost ($, at the given prices) and delay (ms) of a walk, summed in the order of its steps."""
     cost = 0.0
     delay = 0.0
     i = 0
     for j in range(steps):
         step_delay = 0.0
         if walk.link[j] >= 0:
-            cost += link_unit_cost[walk.link[j]] * problem.rate
+            cost += link_cost(prices.link[walk.link[j]], problem.rate)
             step_delay = problem.hop_delay[walk.link[j]]
         if walk.vm[j] >= 0:
             node, vm = walk.node[j], walk.vm[j]
-            cost += vm_unit_cost[node, vm] * problem.load[i]
-            step_delay += 1000.0 * problem.load[i] / problem.vm_speed[node, vm]
+            cost += vm_cost(prices.vm[node, vm], problem.load[i])
+            step_delay += vm_delay(problem.load[i], problem.vm_speed[node, vm])
             i += 1
         delay += step_delay
     return cost, delay

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import part
+from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.kernels import step_env
 from nfv_torchrl.simulator.state import ACCEPTED, REQUEST_COST
 

@@ -13,8 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.planners.compiled import inlined, part
-from nfv_torchrl.planners.walks import OVERFLOW
+from nfv_torchrl.codec import count_vms, link_resource, split_vm, vm_resource
+from nfv_torchrl.search.walks import OVERFLOW, Problem
+from nfv_torchrl.simulator.compiled import inlined, part
+from nfv_torchrl.simulator.steps import fits, link_cost, vm_cost, vm_delay
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
 FOUND = 1
@@ -22,7 +24,7 @@ NONE = 0
 
 
 class Critical(NamedTuple):
-    """Resources whose use within one walk is tracked: VM v of node n is n * V + v, link l is N * V + l."""
+    """Resources whose use within one walk is tracked, numbered as in ``nfv_torchrl.codec``."""
 
     tracked: np.ndarray  # int64 [2]: how many resources; 1 if the number of steps is tracked too
     resource: np.ndarray  # int64 [C]
@@ -53,7 +55,7 @@ class Labels(NamedTuple):
 
 def make_critical(nodes: int, vms: int, links: int, functions: int, columns: int) -> Critical:
     """Scratch for at most ``columns`` critical resources."""
-    resources = nodes * vms + links
+    resources = count_vms(nodes, vms) + links
     return Critical(
         tracked=np.zeros(2, np.int64),
         resource=np.zeros(columns, np.int64),
@@ -61,6 +63,16 @@ def make_critical(nodes: int, vms: int, links: int, functions: int, columns: int
         used=np.zeros(resources, np.int64),
         tail=np.zeros(functions + 1, np.int64),
     )
+
+
+class Search(NamedTuple):
+    """One search: the request, lower bounds on what is still to come, and the scratch it works in."""
+
+    problem: Problem
+    cost_to_go: np.ndarray  # float64 [F + 1, N], $
+    delay_to_go: np.ndarray  # float64 [F + 1, N], ms
+    labels: Labels
+    critical: Critical
 
 
 def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
@@ -99,9 +111,11 @@ def begin_request(problem, critical):
 def offered_of(problem, resource):
     """Ledger units that ``resource`` offers."""
     nodes, vms = problem.vm_offered.shape
-    if resource >= nodes * vms:
-        return problem.link_offered[resource - nodes * vms]
-    return problem.vm_offered[resource // vms, resource % vms]
+    first_link = count_vms(nodes, vms)
+    if resource >= first_link:
+        return problem.link_offered[resource - first_link]
+    node, vm = split_vm(resource, vms)
+    return problem.vm_offered[node, vm]
 
 
 @inlined
@@ -116,16 +130,16 @@ def add_overused(problem, walk, steps, critical):
     outcome = 0
     for j in range(steps):
         if walk.link[j] >= 0:
-            critical.used[nodes * vms + walk.link[j]] += problem.rate_units
+            critical.used[link_resource(walk.link[j], nodes, vms)] += problem.rate_units
         if walk.vm[j] >= 0:
-            critical.used[walk.node[j] * vms + walk.vm[j]] += problem.load_units[i]
+            critical.used[vm_resource(walk.node[j], walk.vm[j], vms)] += problem.load_units[i]
             i += 1
     for j in range(steps):
         for kind in range(2):
             if kind == 0 and walk.link[j] >= 0:
-                resource = nodes * vms + walk.link[j]
+                resource = link_resource(walk.link[j], nodes, vms)
             elif kind == 1 and walk.vm[j] >= 0:
-                resource = walk.node[j] * vms + walk.vm[j]
+                resource = vm_resource(walk.node[j], walk.vm[j], vms)
             else:
                 continue
             if critical.used[resource] > offered_of(problem, resource):
@@ -142,16 +156,13 @@ def add_overused(problem, walk, steps, critical):
 
 
 @part
-def search_labels(problem, cost_to_go, delay_to_go, labels, critical, walk):
+def search_labels(search, walk):
     """Cheapest walk within the delay that does not overuse a critical resource, into ``walk``.
-
-    Args:
-        cost_to_go: lower bounds in $, float64 [F + 1, N].
-        delay_to_go: lower bounds in ms, float64 [F + 1, N].
 
     Returns:
         (FOUND, steps), (NONE, 0) if there is no such walk, (OVERFLOW, 0) if the pool is too small.
     """
+    problem, labels = search.problem, search.labels
     labels.first[:] = -1
     labels.size[:] = 0
     label = _take(labels)
@@ -161,23 +172,24 @@ def search_labels(problem, cost_to_go, delay_to_go, labels, critical, walk):
     labels.placed[label] = 0
     labels.steps[label] = 0
     labels.parent[label] = -1
-    for c in range(critical.tracked[0]):
+    for c in range(search.critical.tracked[0]):
         labels.usage[label, c] = 0
-    _list_and_open(labels, label, cost_to_go[0, problem.ingress])
+    _list_and_open(labels, label, search.cost_to_go[0, problem.ingress])
     while labels.size[1] > 0:
         label = _pop(labels)
         if not labels.alive[label]:
             continue
         if labels.node[label] == problem.egress and labels.placed[label] == problem.functions:
             return FOUND, _trace(labels, label, walk)
-        if not _expand(problem, cost_to_go, delay_to_go, labels, critical, label):
+        if not _expand(search, label):
             return OVERFLOW, 0
     return NONE, 0
 
 
 @inlined
-def _expand(problem, cost_to_go, delay_to_go, labels, critical, label):
+def _expand(search, label):
     """Open every step that can follow ``label``; False if the pool is full."""
+    problem, labels, cost_to_go = search.problem, search.labels, search.cost_to_go
     node = labels.node[label]
     i = labels.placed[label]
     at_egress = node == problem.egress
@@ -186,44 +198,45 @@ def _expand(problem, cost_to_go, delay_to_go, labels, critical, label):
         return False
     if i < problem.functions and (at_egress or problem.colocation):
         for vm in range(problem.vm_count[node]):
-            if problem.vm_offered[node, vm] >= problem.load_units[i]:
-                _open(problem, cost_to_go, delay_to_go, labels, critical, label, node, -1, vm)
+            if fits(problem.vm_offered[node, vm], problem.load_units[i]):
+                _open(search, label, node, -1, vm)
     if at_egress:
         return True
     for k in range(problem.degree[node]):
         link = problem.neighbour_link[node, k]
         after = problem.neighbour[node, k]
-        if problem.link_offered[link] < problem.rate_units:
+        if not fits(problem.link_offered[link], problem.rate_units):
             continue
         if labels.size[0] + problem.vm_count[after] + 1 >= labels.cost.size:
             return False
         if cost_to_go[i, after] < np.inf:
-            _open(problem, cost_to_go, delay_to_go, labels, critical, label, after, link, -1)
+            _open(search, label, after, link, -1)
         if i < problem.functions and cost_to_go[i + 1, after] < np.inf:
             for vm in range(problem.vm_count[after]):
-                if problem.vm_offered[after, vm] >= problem.load_units[i]:
-                    _open(problem, cost_to_go, delay_to_go, labels, critical, label, after, link, vm)
+                if fits(problem.vm_offered[after, vm], problem.load_units[i]):
+                    _open(search, label, after, link, vm)
     return True
 
 
 @inlined
-def _open(problem, cost_to_go, delay_to_go, labels, critical, parent, node, link, vm):
+def _open(search, parent, node, link, vm):
     """Extend ``parent`` by one step unless the result is infeasible or dominated."""
+    problem, labels, critical = search.problem, search.labels, search.critical
     i = labels.placed[parent]
     placed = i + 1 if vm >= 0 else i
     cost = labels.cost[parent]
     step_delay = 0.0
     if link >= 0:
-        cost += problem.link_price[link] * problem.rate
+        cost += link_cost(problem.link_price[link], problem.rate)
         step_delay = problem.hop_delay[link]
     if vm >= 0:
-        cost += problem.vm_price[node, vm] * problem.load[i]
-        step_delay += 1000.0 * problem.load[i] / problem.vm_speed[node, vm]
+        cost += vm_cost(problem.vm_price[node, vm], problem.load[i])
+        step_delay += vm_delay(problem.load[i], problem.vm_speed[node, vm])
     delay = labels.delay[parent] + step_delay
     # The bound was summed in another order, so it gets the tolerance once more; the delay itself does not.
-    if delay > problem.budget or delay + delay_to_go[placed, node] > problem.budget + DELAY_TOLERANCE:
+    if delay > problem.budget or delay + search.delay_to_go[placed, node] > problem.budget + DELAY_TOLERANCE:
         return
-    bound = cost + cost_to_go[placed, node]
+    bound = cost + search.cost_to_go[placed, node]
     if bound == np.inf:
         return
     steps = labels.steps[parent] + 1
@@ -234,9 +247,9 @@ def _open(problem, cost_to_go, delay_to_go, labels, critical, parent, node, link
     labels.delay[label] = delay
     labels.placed[label] = placed
     labels.steps[label] = steps
-    if critical.tracked[0] > 0 and not _use(problem, labels, critical, parent, label, node, link, vm):
+    if critical.tracked[0] > 0 and not _use(search, parent, label, node, link, vm):
         return
-    if not _keep(problem, labels, critical, label, node):
+    if not _keep(search, label, node):
         return
     _take(labels)
     labels.node[label] = node
@@ -247,37 +260,39 @@ def _open(problem, cost_to_go, delay_to_go, labels, critical, parent, node, link
 
 
 @inlined
-def _use(problem, labels, critical, parent, label, node, link, vm):
+def _use(search, parent, label, node, link, vm):
     """Book the step's use of critical resources; False if one of them has not enough left."""
+    problem, labels, critical = search.problem, search.labels, search.critical
     for c in range(critical.tracked[0]):
         labels.usage[label, c] = labels.usage[parent, c]
     nodes, vms = problem.vm_offered.shape
     if link >= 0:
-        c = critical.column[nodes * vms + link]
+        c = critical.column[link_resource(link, nodes, vms)]
         if c >= 0:
             labels.usage[label, c] += problem.rate_units
-            if labels.usage[label, c] > problem.link_offered[link]:
+            if not fits(problem.link_offered[link], labels.usage[label, c]):
                 return False
     if vm >= 0:
-        c = critical.column[node * vms + vm]
+        c = critical.column[vm_resource(node, vm, vms)]
         if c >= 0:
             labels.usage[label, c] += problem.load_units[labels.placed[parent]]
-            if labels.usage[label, c] > problem.vm_offered[node, vm]:
+            if not fits(problem.vm_offered[node, vm], labels.usage[label, c]):
                 return False
     return True
 
 
 @inlined
-def _keep(problem, labels, critical, label, node):
+def _keep(search, label, node):
     """False if a label of the same node and function dominates ``label``; those it dominates are dropped."""
+    labels = search.labels
     placed = labels.placed[label]
     before = -1
     other = labels.first[placed, node]
     while other >= 0:
         after = labels.following[other]
-        if _dominates(problem, labels, critical, other, label):
+        if _dominates(search, other, label):
             return False
-        if _dominates(problem, labels, critical, label, other):
+        if _dominates(search, label, other):
             labels.alive[other] = False
             if before < 0:
                 labels.first[placed, node] = after
@@ -290,8 +305,9 @@ def _keep(problem, labels, critical, label, node):
 
 
 @inlined
-def _dominates(problem, labels, critical, a, b):
+def _dominates(search, a, b):
     """Whether every completion of label ``b`` also completes ``a``, no dearer."""
+    problem, labels, critical = search.problem, search.labels, search.critical
     if labels.cost[a] > labels.cost[b] or labels.delay[a] > labels.delay[b]:
         return False
     if critical.tracked[1] > 0 and labels.steps[a] > labels.steps[b]:
@@ -303,7 +319,7 @@ def _dominates(problem, labels, critical, a, b):
             resource = critical.resource[c]
             # More than the rest of a walk can need is as good as unused. Between two placements a best walk visits
             # no node twice before the hop that places, so it takes a link at most twice there, once after the last.
-            if resource >= nodes * vms:
+            if resource >= count_vms(nodes, vms):
                 need = (2 * (problem.functions - placed) + 1) * problem.rate_units
             else:
                 need = critical.tail[placed]

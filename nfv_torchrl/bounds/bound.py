@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nfv_torchrl.bounds.occupancy import Columns, Occupancy, expected_price, maximise_value, price_of_stay
+from nfv_torchrl.bounds.relaxations import candidate_cuts, crossed, least_cost, least_delay
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.occupancy import Columns, Occupancy, expected_price, maximise_value, price_of_stay
-from nfv_torchrl.planners.relaxations import candidate_cuts, crossed, least_cost, least_delay
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.units import LEDGER_UNITS, to_ledger
