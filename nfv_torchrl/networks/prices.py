@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.learned_prices import ADMIT_FEATURES, LINK_FEATURES, VM_FEATURES, Head, PriceWeights
+from nfv_torchrl.planners.learned_prices import ADMIT, LINK, VM, Head, PriceWeights
 from nfv_torchrl.settings.values import Neurons, OneOf, Positive
 
 
@@ -56,7 +56,7 @@ class PriceHead(nn.Module):
 class PriceNetwork(nn.Module):
     """Prices of VMs and links and the refusal of requests, the same weights for all of them on networks of any size.
 
-    Its inputs are ``VM_FEATURES``, ``LINK_FEATURES`` and ``ADMIT_FEATURES`` of ``planners/learned_prices.py``. At
+    Its inputs are ``VmFeatures``, ``LinkFeatures`` and ``AdmitFeatures`` of ``planners/learned_prices.py``. At
     first all outputs are zero: no prices, nothing refused.
 
     Args:
@@ -80,9 +80,9 @@ class PriceNetwork(nn.Module):
         if begin not in BEGINNINGS:
             raise ScenarioError(f"network.begin: {begin!r}; use one of {', '.join(BEGINNINGS)}")
         self.price_unit = float(price_unit)
-        self.vm = PriceHead(len(VM_FEATURES), hidden)
-        self.link = PriceHead(len(LINK_FEATURES), hidden)
-        self.admit = PriceHead(len(ADMIT_FEATURES), hidden)
+        self.vm = PriceHead(len(VM), hidden)
+        self.link = PriceHead(len(LINK), hidden)
+        self.admit = PriceHead(len(ADMIT), hidden)
         if begin in RULES:
             self._begin_at(RULES[begin])
 
@@ -94,11 +94,12 @@ class PriceNetwork(nn.Module):
         powers = np.stack([used, used**4, used**16, np.ones_like(used)], axis=1)
         # A price is used share times f, so f is fitted to price / used, weighted by used.
         fitted = np.linalg.lstsq(powers * used[:, None], price, rcond=None)[0]
-        for head in (self.vm, self.link):
-            head.linear[:3] = torch.from_numpy(fitted[:3])
+        for head, at in ((self.vm, VM), (self.link, LINK)):
+            for column, weight in zip((at.used, at.used_pow4, at.used_pow16), fitted[:3], strict=True):
+                head.linear[column] = float(weight)
             head.linear[-1] = float(fitted[3])
         if rule.threshold is not None:
-            self.admit.linear[ADMIT_FEATURES.index("priced")] = 3.0 / float(np.log(rule.threshold / self.price_unit))
+            self.admit.linear[ADMIT.priced] = 3.0 / float(np.log(rule.threshold / self.price_unit))
 
     def weights(self) -> PriceWeights:
         """The weights as the compiled search takes them."""

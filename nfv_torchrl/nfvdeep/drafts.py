@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.codec import decode_action, encode_action
+from nfv_torchrl.columns import columns
 from nfv_torchrl.search.walks import make_problem, unit_costs
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.kernels import step_env
@@ -20,8 +21,18 @@ from nfv_torchrl.simulator.steps import fits, vm_delay
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE, Rules, Tables
 
 OPEN, COMPLETE, REFUSED = 0, 1, 2
-NUMBERS = 4
-"""Numbers of the function in hand in the observation: load, rate, delay left, functions left."""
+
+
+class FunctionNumbers(NamedTuple):
+    """Numbers of the function in hand in the observation."""
+
+    load: int  # of the largest
+    rate: int  # of the largest
+    delay: int  # left, of the tolerable
+    functions: int  # left, of the longest chain
+
+
+AT = columns(FunctionNumbers)
 
 
 class Options(NamedTuple):
@@ -58,7 +69,7 @@ class Drafts(NamedTuple):
     closed: np.ndarray  # bool [B, N]
     vm: np.ndarray  # int64 [B, N], VM that would take the next function
     mask: np.ndarray  # bool [B, N + 1], nodes that may be chosen, and to refuse
-    flat: np.ndarray  # float32 [B, 4 N + NUMBERS], see ``NFVdeepEnv``
+    flat: np.ndarray  # float32 [B, 4 N + 4], see ``NFVdeepEnv``
 
 
 def make_drafts(tables: Tables, rules: Rules, batch: int) -> Drafts:
@@ -99,7 +110,7 @@ def make_drafts(tables: Tables, rules: Rules, batch: int) -> Drafts:
         closed=flag(nodes),
         vm=whole(nodes),
         mask=flag(nodes + 1),
-        flat=np.zeros((batch, 4 * nodes + NUMBERS), np.float32),
+        flat=np.zeros((batch, 4 * nodes + len(AT)), np.float32),
     )
 
 
@@ -322,12 +333,12 @@ def _observe(problem, tables, drafts, b):
         for function in range(tables.load.shape[1]):
             largest = max(largest, tables.load[service, function])
     if i < problem.functions:
-        flat[base] = problem.load[i] / largest
-    flat[base + 1] = problem.rate / fastest
-    flat[base + 2] = 1.0 - drafts.elapsed[b] / problem.budget
-    flat[base + 3] = (problem.functions - i) / tables.load.shape[1]
-    flat[base + NUMBERS + drafts.node[b]] = 1.0
-    flat[base + NUMBERS + nodes + problem.egress] = 1.0
+        flat[base + AT.load] = problem.load[i] / largest
+    flat[base + AT.rate] = problem.rate / fastest
+    flat[base + AT.delay] = 1.0 - drafts.elapsed[b] / problem.budget
+    flat[base + AT.functions] = (problem.functions - i) / tables.load.shape[1]
+    flat[base + len(AT) + drafts.node[b]] = 1.0
+    flat[base + len(AT) + nodes + problem.egress] = 1.0
 
 
 # ------------------------------------------------------------------------------------------- begin, choose, answer

@@ -2,40 +2,48 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from tensordict import TensorDict
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 
 from nfv_torchrl.codec import count_actions, decode_action
+from nfv_torchrl.columns import columns
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step
 from nfv_torchrl.simulator.steps import Step, find_link, link_cost, step_cost, vm_cost, vm_delay
 from nfv_torchrl.simulator.tables import Rules, Tables
 
-FEATURES = (
-    "reject",  # 1 for the row of the reject action
-    "place",  # places the next function (else only forwards)
-    "stay",  # uses no link
-    "arrives",  # the step ends at the egress
-    "passes",  # passes every step check
-    "step_cost",  # phi~ over the service's reference cost
-    "cost_to_go",  # least cost to finish after the step on the empty network, over the same
-    "vm_use",  # used share of the VM after the step
-    "vm_demand",  # load of the function over the VM's capacity
-    "node_use",  # used share of all VMs of the node after the step
-    "link_use",  # used share of the link after the step
-    "link_demand",  # rate over the link's capacity
-    "elapsed",  # delay after the step over the tolerable delay
-    "delay_to_go",  # shortest delay from there to the egress over the tolerable delay
-    "slack",  # what is left then: 1 - elapsed - delay_to_go
-    "functions_left",  # share of the chain not placed after the step
-    "load_left",  # share of the chain's load not placed after the step
-    "network_vm_use",  # used share of all VM capacity now
-    "network_link_use",  # used share of all link capacity now
-)
-"""Columns of the candidate rows; one column per service type (one-hot) follows."""
+
+class CandidateFeatures(NamedTuple):
+    """Columns of the candidate rows; one column per service type (one-hot) follows."""
+
+    reject: int  # 1 for the row of the reject action
+    place: int  # places the next function (else only forwards)
+    stay: int  # uses no link
+    arrives: int  # the step ends at the egress
+    passes: int  # passes every step check
+    step_cost: int  # phi~ over the service's reference cost
+    cost_to_go: int  # least cost to finish after the step on the empty network, over the same
+    vm_use: int  # used share of the VM after the step
+    vm_demand: int  # load of the function over the VM's capacity
+    node_use: int  # used share of all VMs of the node after the step
+    link_use: int  # used share of the link after the step
+    link_demand: int  # rate over the link's capacity
+    elapsed: int  # delay after the step over the tolerable delay
+    delay_to_go: int  # shortest delay from there to the egress over the tolerable delay
+    slack: int  # what is left then: 1 - elapsed - delay_to_go
+    functions_left: int  # share of the chain not placed after the step
+    load_left: int  # share of the chain's load not placed after the step
+    network_vm_use: int  # used share of all VM capacity now
+    network_link_use: int  # used share of all link capacity now
+
+
+AT = columns(CandidateFeatures)
+FEATURES = CandidateFeatures._fields
 
 
 @kernel
@@ -115,11 +123,11 @@ def write_row(world, b, costs, references, action, row):
     """Features of one valid action into ``row`` [features], which holds zeros."""
     e = world.env[b]
     if action == world.seen.mask.shape[1] - 1:
-        row[0] = 1.0
+        row[AT.reject] = 1.0
     else:
         _write_step(world, b, costs, references, action, row)
-    row[17] = e.vm_used / world.tables.vm_total[e.net]
-    row[18] = e.link_used / world.tables.link_total[e.net]
+    row[AT.network_vm_use] = e.vm_used / world.tables.vm_total[e.net]
+    row[AT.network_link_use] = e.link_used / world.tables.link_total[e.net]
     if e.done == 0:
         row[row.size - world.tables.load.shape[0] + e.service] = 1.0
 
@@ -137,41 +145,41 @@ def _write_step(world, b, costs, references, action, row):
     elapsed = e.elapsed
     done = e.function
     vm_taken = np.int64(0)
-    row[1] = place
-    row[2] = link < 0
-    row[3] = node == egress
-    row[4] = check_step(world, b, step) == PASSES
+    row[AT.place] = place
+    row[AT.stay] = link < 0
+    row[AT.arrives] = node == egress
+    row[AT.passes] = check_step(world, b, step) == PASSES
     if place:
         load = tables.load[service, e.function]
         vm_taken = tables.load_units[service, e.function]
         elapsed += vm_delay(load, tables.vm_speed[net, node, vm])
-        row[8] = load / tables.vm_speed[net, node, vm]
+        row[AT.vm_demand] = load / tables.vm_speed[net, node, vm]
         done += 1
     if link >= 0:
         elapsed += tables.hop_delay[net, service, link]
         capacity = tables.link_capacity[net, link]
-        row[10] = (capacity - ledger.link_offered[b, link] + tables.rate_units[service]) / capacity
-        row[11] = tables.rate_units[service] / capacity
+        row[AT.link_use] = (capacity - ledger.link_offered[b, link] + tables.rate_units[service]) / capacity
+        row[AT.link_demand] = tables.rate_units[service] / capacity
     capacity = tables.vm_capacity[net, node, vm]
-    row[7] = (capacity - ledger.vm_offered[b, node, vm] + vm_taken) / capacity
+    row[AT.vm_use] = (capacity - ledger.vm_offered[b, node, vm] + vm_taken) / capacity
     free, total = -vm_taken, np.int64(0)
     for v in range(tables.vm_count[net, node]):
         free += ledger.vm_offered[b, node, v]
         total += tables.vm_capacity[net, node, v]
-    row[9] = 1.0 - free / total
-    row[5] = step_cost(tables, e, step) / references[net, service]
-    row[6] = costs[net, service, done, node, egress] / references[net, service]
-    row[12] = elapsed / tolerable
-    row[13] = tables.delay_to[net, service, node, egress] / tolerable
-    row[14] = 1.0 - row[12] - row[13]
+    row[AT.node_use] = 1.0 - free / total
+    row[AT.step_cost] = step_cost(tables, e, step) / references[net, service]
+    row[AT.cost_to_go] = costs[net, service, done, node, egress] / references[net, service]
+    row[AT.elapsed] = elapsed / tolerable
+    row[AT.delay_to_go] = tables.delay_to[net, service, node, egress] / tolerable
+    row[AT.slack] = 1.0 - row[AT.elapsed] - row[AT.delay_to_go]
     chain = tables.chain_length[service]
-    row[15] = (chain - done) / chain
+    row[AT.functions_left] = (chain - done) / chain
     left, whole = 0.0, 0.0
     for f in range(chain):
         whole += tables.load[service, f]
         if f >= done:
             left += tables.load[service, f]
-    row[16] = left / whole
+    row[AT.load_left] = left / whole
 
 
 @kernel
@@ -201,7 +209,7 @@ def candidate_shape(tables: Tables) -> tuple[int, int]:
 class CandidateObservation:
     """Key ``candidates``, nested: one row for each valid action, in no particular order, then padding.
 
-    C = 2 V (D + 1) + 1 rows, D the largest degree. ``features`` float32 [B, C, 19 + K] (columns: ``FEATURES``, then
+    C = 2 V (D + 1) + 1 rows, D the largest degree. ``features`` float32 [B, C, FEATURES + K] (columns: ``FEATURES``, then
     the service type one-hot; costs and delays are relative to the service's own, so that one network serves all),
     ``action`` int64 [B, C]: the action a row stands for (``reject`` in padding), ``mask`` bool [B, C]: rows in use.
     """

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.codec import decode_action
+from nfv_torchrl.columns import columns
 from nfv_torchrl.planners.base import CompiledPlanner, over_rows
 from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
@@ -21,39 +22,59 @@ from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import inlined, kernel, part
 from nfv_torchrl.simulator.tables import Tables
 
-VM_FEATURES = (
-    "used",  # share of the VM that is used now
-    "used^4",
-    "used^16",
-    "short",  # r / (r + free), r the reference load: near 1 when less than a usual request is left
-    "tight",  # d / (d + free), d the load of this request's largest function
-    "node_used",  # used share of all VMs of the node
-    "network_used",  # used share of all VMs
-    "dear",  # unit cost over the network's mean, less 1
-    "load",  # log of the chain's load over the reference load, halved
-    "lifetime",  # log of the lifetime over the mean lifetime; 0 where lifetimes are hidden
-    "colocation",  # 1 where functions may share a node
-)
-LINK_FEATURES = (
-    "used",
-    "used^4",
-    "used^16",
-    "tight",  # rate / (rate + free)
-    "network_used",  # used share of all links
-    "load",
-    "lifetime",
-)
-ADMIT_FEATURES = (
-    "priced",  # log of the walk's priced cost over that of the reference load at the price unit, over 3
-    "true",  # the same of its true cost
-    "tightest",  # largest d / (d + free) over the VMs of the walk, free being what it leaves there
-    "network_used",
-    "network_used^4",
-    "links_used",  # used share of all links
-    "load",
-    "lifetime",
-    "colocation",
-)
+
+class VmFeatures(NamedTuple):
+    """What the price of a VM is a function of."""
+
+    used: int  # share of the VM that is used now
+    used_pow4: int
+    used_pow16: int
+    short: int  # r / (r + free), r the reference load: near 1 when less than a usual request is left
+    tight: int  # d / (d + free), d the load of this request's largest function
+    node_used: int  # used share of all VMs of the node
+    network_used: int  # used share of all VMs
+    dear: int  # unit cost over the network's mean, less 1
+    load: int  # log of the chain's load over the reference load, halved
+    lifetime: int  # log of the lifetime over the mean lifetime; 0 where lifetimes are hidden
+    colocation: int  # 1 where functions may share a node
+
+
+VM = columns(VmFeatures)
+VM_FEATURES = VmFeatures._fields
+
+
+class LinkFeatures(NamedTuple):
+    """What the price of a link is a function of."""
+
+    used: int
+    used_pow4: int
+    used_pow16: int
+    tight: int  # rate / (rate + free)
+    network_used: int  # used share of all links
+    load: int
+    lifetime: int
+
+
+LINK = columns(LinkFeatures)
+LINK_FEATURES = LinkFeatures._fields
+
+
+class AdmitFeatures(NamedTuple):
+    """What the refusal of a request is a function of."""
+
+    priced: int  # log of the walk's priced cost over that of the reference load at the price unit, over 3
+    true: int  # the same of its true cost
+    tightest: int  # largest d / (d + free) over the VMs of the walk, free being what it leaves there
+    network_used: int
+    network_used_pow4: int
+    links_used: int  # used share of all links
+    load: int
+    lifetime: int
+    colocation: int
+
+
+ADMIT = columns(AdmitFeatures)
+ADMIT_FEATURES = AdmitFeatures._fields
 MOST_FEATURES = max(len(VM_FEATURES), len(LINK_FEATURES), len(ADMIT_FEATURES))
 LONGEST = 20.0
 """Lifetimes are seen up to this multiple of their mean, and from one 400th of it."""
@@ -98,7 +119,17 @@ class LearnedScratch(NamedTuple):
     measures: Measures
     search: Scratch
     x: np.ndarray  # float64 [MOST_FEATURES]
-    request: np.ndarray  # float64 [2]: features ``load`` and ``lifetime`` of the request in hand
+    request: np.ndarray  # float64 [2]: what all three functions see of the request in hand
+
+
+class RequestFeatures(NamedTuple):
+    """What all three functions see of the request in hand."""
+
+    load: int
+    lifetime: int
+
+
+REQUEST = columns(RequestFeatures)
 
 
 def measures_of(tables: Tables) -> Measures:
@@ -129,23 +160,24 @@ def _value(head, x):
 
 
 @inlined
-def _powers(x, used):
-    x[0] = used
+def _powers(x, at, used):
+    """Fill the used share and its powers; ``at``: the columns of a VM or of a link."""
+    x[at.used] = used
     square = used * used
-    x[1] = square * square
-    fourth = x[1] * x[1]
-    x[2] = fourth * fourth
+    x[at.used_pow4] = square * square
+    fourth = x[at.used_pow4] * x[at.used_pow4]
+    x[at.used_pow16] = fourth * fourth
 
 
 @part
 def _describe_request(world, b, own):
     """Fill the features of the request itself."""
     e, measures = world.env[b], own.measures
-    own.request[0] = 0.5 * np.log(measures.chain_load[e.service] / measures.reference_load)
-    own.request[1] = 0.0
+    own.request[REQUEST.load] = 0.5 * np.log(measures.chain_load[e.service] / measures.reference_load)
+    own.request[REQUEST.lifetime] = 0.0
     mean = world.mean_lifetime[b]
     if mean > 0.0:
-        own.request[1] = np.log(min(max(e.lifetime / mean, 0.05 / LONGEST), LONGEST))
+        own.request[REQUEST.lifetime] = np.log(min(max(e.lifetime / mean, 0.05 / LONGEST), LONGEST))
 
 
 @part
@@ -163,16 +195,16 @@ def _price_vms(world, b, own, vm_price):
             total += tables.vm_capacity[net, node, vm]
         for vm in range(tables.vm_count[net, node]):
             here = offered[b, node, vm]
-            _powers(x, 1.0 - here / tables.vm_capacity[net, node, vm])
-            x[3] = measures.reference_units / (measures.reference_units + here)
-            x[4] = largest / (largest + here)
-            x[5] = 1.0 - free / total
-            x[6] = network_used
-            x[7] = tables.vm_unit_cost[net, node, vm] / measures.mean_cost[net] - 1.0
-            x[8] = own.request[0]
-            x[9] = own.request[1]
-            x[10] = 1.0 if world.rules.colocation else 0.0
-            rise = x[0] * max(_value(own.weights.vm, x), 0.0) * own.weights.unit * measures.mean_cost[net]
+            _powers(x, VM, 1.0 - here / tables.vm_capacity[net, node, vm])
+            x[VM.short] = measures.reference_units / (measures.reference_units + here)
+            x[VM.tight] = largest / (largest + here)
+            x[VM.node_used] = 1.0 - free / total
+            x[VM.network_used] = network_used
+            x[VM.dear] = tables.vm_unit_cost[net, node, vm] / measures.mean_cost[net] - 1.0
+            x[VM.load] = own.request[REQUEST.load]
+            x[VM.lifetime] = own.request[REQUEST.lifetime]
+            x[VM.colocation] = 1.0 if world.rules.colocation else 0.0
+            rise = x[VM.used] * max(_value(own.weights.vm, x), 0.0) * own.weights.unit * measures.mean_cost[net]
             vm_price[node, vm] = tables.vm_unit_cost[net, node, vm] + rise
 
 
@@ -186,12 +218,12 @@ def _price_links(world, b, own, link_price):
     network_used = e.link_used / tables.link_total[net]
     for link in range(tables.num_links[net]):
         here = offered[b, link]
-        _powers(x, 1.0 - here / tables.link_capacity[net, link])
-        x[3] = rate / (rate + here)
-        x[4] = network_used
-        x[5] = own.request[0]
-        x[6] = own.request[1]
-        rise = x[0] * max(_value(own.weights.link, x), 0.0) * own.weights.unit * own.measures.mean_cost[net]
+        _powers(x, LINK, 1.0 - here / tables.link_capacity[net, link])
+        x[LINK.tight] = rate / (rate + here)
+        x[LINK.network_used] = network_used
+        x[LINK.load] = own.request[REQUEST.load]
+        x[LINK.lifetime] = own.request[REQUEST.lifetime]
+        rise = x[LINK.used] * max(_value(own.weights.link, x), 0.0) * own.weights.unit * own.measures.mean_cost[net]
         link_price[link] = tables.link_unit_cost[net, link] + rise
 
 
@@ -218,15 +250,15 @@ def _refuses(world, b, own, steps, plan):
     x, result = own.x, own.search.result
     unit = own.weights.unit * measures.mean_cost[e.net] * measures.reference_load
     used = e.vm_used / tables.vm_total[e.net]
-    x[0] = np.log(result[0] / unit + 1e-9) / 3.0
-    x[1] = np.log(result[1] / unit + 1e-9) / 3.0
-    x[2] = _tightest(world, b, measures.largest_units[e.service], steps, plan)
-    x[3] = used
-    x[4] = used * used * used * used
-    x[5] = e.link_used / tables.link_total[e.net]
-    x[6] = own.request[0]
-    x[7] = own.request[1]
-    x[8] = 1.0 if world.rules.colocation else 0.0
+    x[ADMIT.priced] = np.log(result[0] / unit + 1e-9) / 3.0
+    x[ADMIT.true] = np.log(result[1] / unit + 1e-9) / 3.0
+    x[ADMIT.tightest] = _tightest(world, b, measures.largest_units[e.service], steps, plan)
+    x[ADMIT.network_used] = used
+    x[ADMIT.network_used_pow4] = used * used * used * used
+    x[ADMIT.links_used] = e.link_used / tables.link_total[e.net]
+    x[ADMIT.load] = own.request[REQUEST.load]
+    x[ADMIT.lifetime] = own.request[REQUEST.lifetime]
+    x[ADMIT.colocation] = 1.0 if world.rules.colocation else 0.0
     return _value(own.weights.admit, x) > 1.0
 
 
@@ -288,7 +320,7 @@ class LearnedPrices(CompiledPlanner):
 
     def make(self, tables: Tables) -> LearnedScratch:
         """See ``CompiledPlanner``."""
-        scratch = np.zeros(MOST_FEATURES), np.zeros(2)
+        scratch = np.zeros(MOST_FEATURES), np.zeros(len(REQUEST))
         return LearnedScratch(self.weights, measures_of(tables), make_scratch(tables), *scratch)
 
     def grow(self, tables: Tables) -> LearnedScratch:

@@ -2,8 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from nfv_torchrl.codec import count_vms
+from nfv_torchrl.columns import columns
 from nfv_torchrl.simulator.compiled import part
+
+
+class RequestNumbers(NamedTuple):
+    """The numbers of the request that follow the used shares in the flat observation."""
+
+    service: int  # index among the services, scaled to [0, 1]
+    node: int  # current node, scaled to [0, 1]
+    vm: int  # VM named last, scaled to [0, 1]
+    function: int  # functions placed, of the longest chain
+    delay: int  # elapsed, of the tolerable delay
+
+
+AT = columns(RequestNumbers)
 
 SHARE_LEVELS = 1000
 """I: levels of the used share in the observation."""
@@ -32,13 +48,13 @@ def show_request(world, b):
     services, functions = tables.load.shape
     base = count_vms(nodes, vms) + world.ledger.link_offered.shape[1]
     service = e.service
-    flat[b, base] = e.service_share
-    flat[b, base + 1] = e.node / max(nodes - 1, 1)
-    flat[b, base + 2] = e.last_vm / max(vms - 1, 1)
-    flat[b, base + 3] = e.function / functions
-    flat[b, base + 4] = e.elapsed / tables.tolerable_delay[service]
+    flat[b, base + AT.service] = e.service_share
+    flat[b, base + AT.node] = e.node / max(nodes - 1, 1)
+    flat[b, base + AT.vm] = e.last_vm / max(vms - 1, 1)
+    flat[b, base + AT.function] = e.function / functions
+    flat[b, base + AT.delay] = e.elapsed / tables.tolerable_delay[service]
     if world.seen.one_hot:
-        base += 5
+        base += len(AT)
         e.hot_service = _move_one(flat, b, e.hot_service, base + service)
         e.hot_node = _move_one(flat, b, e.hot_node, base + services + e.node)
         e.hot_egress = _move_one(flat, b, e.hot_egress, base + services + nodes + e.egress)

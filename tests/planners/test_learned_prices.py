@@ -80,8 +80,8 @@ def test_price_of_a_vm_by_hand():
 @pytest.mark.parametrize(
     ("feature", "value"),
     [
-        ("used^4", 0.75**4),
-        ("used^16", 0.75**16),
+        ("used_pow4", 0.75**4),
+        ("used_pow16", 0.75**16),
         ("short", 25 / 35),  # reference load: mean of 30 (duo) and 20 (solo); 10 Mcycles/s are free
         ("tight", 20 / 30),  # the duo's larger function needs 20
         ("node_used", 0.75),
