@@ -16,10 +16,10 @@ from nfv_torchrl.observations import MemoryObservation, ObservationPart, Request
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import LARGEST_SEED, Stream, check_seed, generator
 from nfv_torchrl.search.loading import Loader
-from nfv_torchrl.simulator import OUTCOME, REASON_NAMES, Simulator
+from nfv_torchrl.simulator import REASON_NAMES, Simulator
 from nfv_torchrl.simulator.reasons import NO_REASON
 from nfv_torchrl.simulator.snapshot import restore_snapshot, take_snapshot
-from nfv_torchrl.simulator.state import ACCEPTED, DONE, REASON, REQUEST_COST, REQUEST_DONE
+from nfv_torchrl.simulator.state import OUTCOME
 from nfv_torchrl.state_checks import check_array, check_arrays, check_keys, check_list, check_whole
 
 LAST_EPISODE = 2**53
@@ -112,10 +112,10 @@ class NFVEnv(EnvBase):
     def _outcome_keys(self, outcome: torch.Tensor) -> dict[str, torch.Tensor]:
         """The named keys of ``outcome`` float64 [B, 16]."""
         return {
-            "request_done": outcome[:, REQUEST_DONE, None] > 0,
-            "accepted": outcome[:, ACCEPTED, None] > 0,
-            "rejection_reason": outcome[:, REASON, None].to(torch.int64),
-            "request_cost": outcome[:, REQUEST_COST, None].to(torch.float32),
+            "request_done": outcome[:, OUTCOME.request_done, None] > 0,
+            "accepted": outcome[:, OUTCOME.accepted, None] > 0,
+            "rejection_reason": outcome[:, OUTCOME.reason, None].to(torch.int64),
+            "request_cost": outcome[:, OUTCOME.request_cost, None].to(torch.float32),
             "statistics": outcome.to(torch.float32),
         }
 
@@ -139,7 +139,7 @@ class NFVEnv(EnvBase):
                 f"reward: {getattr(self.reward, '__name__', type(self.reward).__name__)} returned "
                 f"{reward[~np.isfinite(reward)][0]}; return finite numbers, in every step"
             )
-        terminated = outcome[:, DONE, None] > 0
+        terminated = outcome[:, OUTCOME.done, None] > 0
         done = terminated | self._segments_ended()
         for memory in self._memories():
             memory.keep(tensordict, done)
@@ -157,7 +157,7 @@ class NFVEnv(EnvBase):
         if self.segment is None:
             return torch.zeros(*self.batch_size, 1, dtype=torch.bool)
         world = self.simulator.world
-        ended = (world.outcome[:, REQUEST_DONE] > 0) & (world.env["slot"] >= self._leave_at)
+        ended = (world.outcome[:, OUTCOME.request_done] > 0) & (world.env["slot"] >= self._leave_at)
         return torch.from_numpy(ended).unsqueeze(-1)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:

@@ -21,7 +21,7 @@ from nfv_torchrl import rewards
 from nfv_torchrl.scenario.config import ScenarioConfig
 from nfv_torchrl.scenario.scenario import Scenario, paper_scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.simulator.state import ACCEPTED, REASON, REQUEST_COST, REQUEST_DONE
+from nfv_torchrl.simulator.state import OUTCOME
 
 ENV_ID = "nfv_torchrl/NFV-v0"
 
@@ -97,10 +97,10 @@ class NFVGymEnv(gymnasium.Env[np.ndarray, np.int64]):
         outcome = self.simulator.world.outcome[0]
         return {
             "action_mask": self.action_masks().astype(np.int8),
-            "request_done": bool(outcome[REQUEST_DONE]),
-            "accepted": bool(outcome[ACCEPTED]),
-            "rejection_reason": int(outcome[REASON]),
-            "request_cost": float(outcome[REQUEST_COST]),
+            "request_done": bool(outcome[OUTCOME.request_done]),
+            "accepted": bool(outcome[OUTCOME.accepted]),
+            "rejection_reason": int(outcome[OUTCOME.reason]),
+            "request_cost": float(outcome[OUTCOME.request_cost]),
         }
 
 

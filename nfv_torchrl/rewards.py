@@ -1,7 +1,7 @@
 """Rewards: one small function each, of what the last step brought.
 
-A reward is any callable ``reward(outcome, scale) -> float64 [B]``. ``outcome`` maps the names of
-``nfv_torchrl.simulator.OUTCOME`` to float64 [B]; ``scale`` holds the costs that make weights plain numbers. In a
+A reward is any callable ``reward(outcome, scale) -> float64 [B]``. ``outcome`` maps the names in
+``nfv_torchrl.simulator.state.Outcome`` to float64 [B]; ``scale`` holds the costs that make weights plain numbers. In a
 recipe's yaml a reward is a ``_target_`` with ``_partial_: true``, so a function of your own package works as well. So
 does a class, without ``_partial_``: its ``prepare(simulator)``, if it has one, is called before the first step.
 """

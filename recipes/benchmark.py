@@ -44,7 +44,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.search.loading import Loader
 from nfv_torchrl.settings.recipes import BenchmarkSettings, read_settings
 from nfv_torchrl.simulator import Simulator, kernels
-from nfv_torchrl.simulator.state import REQUEST_DONE, grow_pools
+from nfv_torchrl.simulator.state import OUTCOME, grow_pools
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.random_policy import RandomPolicy
 from nfv_torchrl.training.setup import quote, run_file, set_threads
@@ -328,7 +328,7 @@ def decide(simulator: Simulator, method: Any, seconds: float) -> tuple[int, floa
         cpu += time.process_time() - begun[0]
         wall += time.perf_counter() - begun[1]
         simulator.step(np.ascontiguousarray(actions, np.int64))
-        requests += int(simulator.world.outcome[:, REQUEST_DONE].sum())
+        requests += int(simulator.world.outcome[:, OUTCOME.request_done].sum())
     return max(requests, 1), cpu, wall
 
 

@@ -12,7 +12,7 @@ from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, request_cost
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.kernels import step_env
-from nfv_torchrl.simulator.state import REQUEST_DONE, World
+from nfv_torchrl.simulator.state import OUTCOME, World
 
 RELU, TANH = 0, 1
 
@@ -77,7 +77,7 @@ def play_candidates(world, b, to_go, references, weights, sizes, activation, row
         while True:
             action = _choose(world, b, to_go, references, weights, sizes, activation, row, now, after)
             step_env(world, b, action)
-            if world.outcome[b, REQUEST_DONE] > 0.0:
+            if world.outcome[b, OUTCOME.request_done] > 0.0:
                 break
         costs[request] = request_cost(world, b)
     return FINISHED

@@ -15,7 +15,7 @@ from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax
 from nfv_torchrl.losses.n_step import last_of_sums, n_step_returns
 from nfv_torchrl.networks import NetworkFactory, Sizes
-from nfv_torchrl.simulator.state import SERVICE
+from nfv_torchrl.simulator.state import OUTCOME
 
 
 class AcrossRequests(MaskedLoss):
@@ -129,7 +129,7 @@ class AcrossRequests(MaskedLoss):
         over = after.get("request_done")
         if not self.by_service:
             return over
-        service = after.get("statistics")[..., SERVICE].long()
+        service = after.get("statistics")[..., OUTCOME.service].long()
         return over & (service.unsqueeze(-1) == torch.arange(len(self.rate), device=service.device))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:

@@ -8,7 +8,7 @@ from torch import Tensor
 from nfv_torchrl.losses.centred import CentredDQN
 from nfv_torchrl.networks import NetworkFactory, Sizes
 from nfv_torchrl.settings.values import AtLeastOne, Count, Distance, Share
-from nfv_torchrl.simulator.state import SLOTS_CLOSED
+from nfv_torchrl.simulator.state import OUTCOME
 
 
 class SlotDiscountDQN(CentredDQN):
@@ -64,4 +64,4 @@ class SlotDiscountDQN(CentredDQN):
 
     def request_discount(self, after: TensorDictBase) -> Tensor:
         """One factor per slot that ended with the step: see ``AcrossRequests``."""
-        return self.gamma ** after.get("statistics")[..., SLOTS_CLOSED]
+        return self.gamma ** after.get("statistics")[..., OUTCOME.slots_closed]

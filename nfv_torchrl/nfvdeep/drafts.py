@@ -16,7 +16,7 @@ from nfv_torchrl.search.walks import make_problem, unit_costs
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.kernels import step_env
 from nfv_torchrl.simulator.reasons import NO_REASON
-from nfv_torchrl.simulator.state import DONE, REASON
+from nfv_torchrl.simulator.state import OUTCOME
 from nfv_torchrl.simulator.steps import fits, vm_delay
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE, Rules, Tables
 
@@ -445,8 +445,8 @@ def advance(world, options, drafts, choices):
         e = world.env[b]
         for column in range(world.outcome.shape[1]):
             world.outcome[b, column] = 0.0
-        world.outcome[b, REASON] = NO_REASON
-        world.outcome[b, DONE] = e.done
+        world.outcome[b, OUTCOME.reason] = NO_REASON
+        world.outcome[b, OUTCOME.done] = e.done
         if e.done == 0:
             problem = make_problem(world, b, unit_costs(world, b))
             _choose(world, problem, choices[b], options, drafts, b)

@@ -209,9 +209,10 @@ def candidate_shape(tables: Tables) -> tuple[int, int]:
 class CandidateObservation:
     """Key ``candidates``, nested: one row for each valid action, in no particular order, then padding.
 
-    C = 2 V (D + 1) + 1 rows, D the largest degree. ``features`` float32 [B, C, FEATURES + K] (columns: ``FEATURES``, then
-    the service type one-hot; costs and delays are relative to the service's own, so that one network serves all),
-    ``action`` int64 [B, C]: the action a row stands for (``reject`` in padding), ``mask`` bool [B, C]: rows in use.
+    C = 2 V (D + 1) + 1 rows, D the largest degree. ``features`` float32 [B, C, F + K] (columns: the F of
+    ``CandidateFeatures``, then the service type one-hot; costs and delays are relative to the service's own, so that
+    one network serves all), ``action`` int64 [B, C]: the action a row stands for (``reject`` in padding), ``mask`` bool
+    [B, C]: rows in use.
     """
 
     def __init__(self) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.kernels import step_env
-from nfv_torchrl.simulator.state import ACCEPTED, REQUEST_COST
+from nfv_torchrl.simulator.state import OUTCOME
 
 FINISHED, NO_ROOM = 0, 1
 """What such a kernel returns when it is done, and when the simulator's pools run low (grow them and call again)."""
@@ -38,4 +38,4 @@ def play_plan(world, b, steps, plan):
 @part
 def request_cost(world, b):
     """Cost ($) of the request that the last step ended, NaN if it was not accepted."""
-    return world.outcome[b, REQUEST_COST] if world.outcome[b, ACCEPTED] > 0.0 else np.nan
+    return world.outcome[b, OUTCOME.request_cost] if world.outcome[b, OUTCOME.accepted] > 0.0 else np.nan

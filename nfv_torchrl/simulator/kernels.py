@@ -14,19 +14,7 @@ from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step, write_mask
 from nfv_torchrl.simulator.reasons import NO_REASON, Reason
 from nfv_torchrl.simulator.slots import next_request, open_slot
-from nfv_torchrl.simulator.state import (
-    ACCEPTED,
-    DONE,
-    PASSED,
-    REASON,
-    REQUEST_COST,
-    REQUEST_DELAY,
-    REQUEST_DONE,
-    REQUEST_HOPS,
-    REQUEST_SLOT,
-    SERVICE,
-    STEP_COST,
-)
+from nfv_torchrl.simulator.state import OUTCOME
 from nfv_torchrl.simulator.steps import Step, find_link, step_cost, step_delay
 from nfv_torchrl.simulator.view import show_request
 
@@ -70,8 +58,8 @@ def _move(world, b, action):
     e.last_vm = vm
     e.elapsed += delay
     e.cost += cost
-    world.outcome[b, PASSED] = 1.0
-    world.outcome[b, STEP_COST] = cost
+    world.outcome[b, OUTCOME.passed] = 1.0
+    world.outcome[b, OUTCOME.step_cost] = cost
     return PASSES
 
 
@@ -99,15 +87,15 @@ def _log_answer(world, b, reason, action):
 def _finish(world, b, reason, action):
     """Answer the request (``NO_REASON`` accepts it) after its last ``action`` and move on to the next one."""
     out, e = world.outcome, world.env[b]
-    out[b, REQUEST_DONE] = 1.0
-    out[b, REASON] = reason
+    out[b, OUTCOME.request_done] = 1.0
+    out[b, OUTCOME.reason] = reason
     if world.log.enabled:
         _log_answer(world, b, reason, action)
     if reason == NO_REASON:
-        out[b, ACCEPTED] = 1.0
-        out[b, REQUEST_COST] = e.cost
-        out[b, REQUEST_DELAY] = e.elapsed
-        out[b, REQUEST_HOPS] = e.hops
+        out[b, OUTCOME.accepted] = 1.0
+        out[b, OUTCOME.request_cost] = e.cost
+        out[b, OUTCOME.request_delay] = e.elapsed
+        out[b, OUTCOME.request_hops] = e.hops
         keep_running(world, b)
     else:
         release_walk(world, b)
@@ -122,13 +110,13 @@ def step_env(world, b, action):
     out, e = world.outcome, world.env[b]
     for column in range(out.shape[1]):
         out[b, column] = 0.0
-    out[b, REASON] = NO_REASON
-    out[b, DONE] = 1.0
+    out[b, OUTCOME.reason] = NO_REASON
+    out[b, OUTCOME.done] = 1.0
     if e.done == 1:
         return
     service = e.service
-    out[b, SERVICE] = service
-    out[b, REQUEST_SLOT] = e.request_slot
+    out[b, OUTCOME.service] = service
+    out[b, OUTCOME.request_slot] = e.request_slot
     reject = world.seen.mask.shape[1] - 1
     if action == reject:
         if e.mask_count == 1 and world.seen.mask[b, reject]:
@@ -149,7 +137,7 @@ def step_env(world, b, action):
         else:
             show_request(world, b)
             write_mask(world, b)
-    out[b, DONE] = e.done
+    out[b, OUTCOME.done] = e.done
 
 
 @kernel
@@ -212,7 +200,7 @@ def random_steps(world, steps, seeds):
             x ^= x << np.uint64(17)
             action = world.seen.valid[b, np.int64((x >> np.uint64(33)) % np.uint64(e.mask_count))]
             step_env(world, b, np.int64(action))
-            requests += np.int64(world.outcome[b, REQUEST_DONE])
+            requests += np.int64(world.outcome[b, OUTCOME.request_done])
             if e.done == 1 or e.free_entries < room or e.free_records < 1:
                 start_env(world, b)
         seeds[b] = x

@@ -16,17 +16,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
 from nfv_torchrl.simulator import kernels
 from nfv_torchrl.simulator.reasons import NO_REASON
-from nfv_torchrl.simulator.state import (
-    OUTCOME,
-    REASON,
-    World,
-    clear_log,
-    grow_pools,
-    new_arrivals,
-    new_log,
-    new_world,
-    widen,
-)
+from nfv_torchrl.simulator.state import OUTCOME, World, clear_log, grow_pools, new_arrivals, new_log, new_world, widen
 from nfv_torchrl.simulator.tables import Rules, Tables, build_tables
 
 
@@ -118,7 +108,7 @@ class Simulator:
     @property
     def outcome(self) -> dict[str, np.ndarray]:
         """The columns of ``world.outcome`` by name, views float64 [B]."""
-        return {name: self.world.outcome[:, column] for column, name in enumerate(OUTCOME)}
+        return {name: self.world.outcome[:, column] for name, column in OUTCOME._asdict().items()}
 
     def scenario(self, b: int) -> Scenario:
         """The scenario of environment b."""
@@ -141,7 +131,7 @@ class Simulator:
     def clear_outcome(self, b: int) -> None:
         """Forget what the last step of environment b brought."""
         self.world.outcome[b] = 0.0
-        self.world.outcome[b, REASON] = NO_REASON
+        self.world.outcome[b, OUTCOME.reason] = NO_REASON
 
     def make_room_for(self, b: int) -> None:
         """Enlarge the pools if environment b runs low, after steps that were not made by ``step``."""

@@ -8,7 +8,7 @@ from nfv_torchrl.codec import count_vms, split_vm
 from nfv_torchrl.simulator.books import end_record
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.mask import write_mask
-from nfv_torchrl.simulator.state import INTERRUPTED, SLOT_COST, SLOT_LINK_USE, SLOT_VM_USE, SLOTS_CLOSED
+from nfv_torchrl.simulator.state import OUTCOME
 from nfv_torchrl.simulator.view import show_request, show_share
 
 
@@ -46,7 +46,7 @@ def _interrupt(world, b, resource):
                 continue
             if log.enabled:
                 log.interrupted_at[b, running.record_request[b, record]] = e.slot
-            world.outcome[b, INTERRUPTED] += 1
+            world.outcome[b, OUTCOME.interrupted] += 1
             record = end_record(world, b, record)
             if before == -1:
                 running.head[b, slot] = record
@@ -93,10 +93,10 @@ def _close_slot(world, b):
     """End of a slot: its utilisation cost Phi_t and used shares count, unless it belongs to the warm-up."""
     tables, out, e = world.tables, world.outcome, world.env[b]
     if e.slot >= e.warmup:
-        out[b, SLOTS_CLOSED] += 1
-        out[b, SLOT_COST] += e.running_cost
-        out[b, SLOT_VM_USE] += e.vm_used / tables.vm_total[e.net]
-        out[b, SLOT_LINK_USE] += e.link_used / tables.link_total[e.net]
+        out[b, OUTCOME.slots_closed] += 1
+        out[b, OUTCOME.slot_cost] += e.running_cost
+        out[b, OUTCOME.slot_vm_use] += e.vm_used / tables.vm_total[e.net]
+        out[b, OUTCOME.slot_link_use] += e.link_used / tables.link_total[e.net]
     e.slot += 1
 
 

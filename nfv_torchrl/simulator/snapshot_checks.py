@@ -12,25 +12,7 @@ import numpy as np
 
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
-from nfv_torchrl.simulator.state import (
-    ACCEPTED,
-    DONE,
-    INTERRUPTED,
-    OUTCOME,
-    PASSED,
-    REASON,
-    REQUEST_DONE,
-    REQUEST_HOPS,
-    REQUEST_SLOT,
-    SERVICE,
-    SLOT_COST,
-    SLOTS_CLOSED,
-    Arrivals,
-    Ledger,
-    Running,
-    Walk,
-    World,
-)
+from nfv_torchrl.simulator.state import OUTCOME, Arrivals, Ledger, Running, Walk, World
 from nfv_torchrl.simulator.tables import Tables
 from nfv_torchrl.simulator.view import SHARE_LEVELS
 
@@ -146,23 +128,23 @@ def _check_outcome(world: World) -> None:
     """Flags, codes and counts of the last step; they index the sums of a log line."""
     out, e = world.outcome, world.env
     ranges: dict[int, tuple[int, int | np.ndarray]] = {
-        PASSED: (0, 1),
-        REQUEST_DONE: (0, 1),
-        ACCEPTED: (0, 1),
-        DONE: (0, e["done"]),
-        REASON: (NO_REASON, len(REASON_NAMES) - 1),
-        SERVICE: (0, len(world.tables.rate) - 1),
-        REQUEST_SLOT: (0, e["horizon"] - 1),
-        REQUEST_HOPS: (0, world.rules.max_steps),
-        SLOTS_CLOSED: (0, e["horizon"]),
-        INTERRUPTED: (0, e["num_requests"]),
+        OUTCOME.passed: (0, 1),
+        OUTCOME.request_done: (0, 1),
+        OUTCOME.accepted: (0, 1),
+        OUTCOME.done: (0, e["done"]),
+        OUTCOME.reason: (NO_REASON, len(REASON_NAMES) - 1),
+        OUTCOME.service: (0, len(world.tables.rate) - 1),
+        OUTCOME.request_slot: (0, e["horizon"] - 1),
+        OUTCOME.request_hops: (0, world.rules.max_steps),
+        OUTCOME.slots_closed: (0, e["horizon"]),
+        OUTCOME.interrupted: (0, e["num_requests"]),
     }
-    for column, name in enumerate(OUTCOME):
+    for name, column in OUTCOME._asdict().items():
         require(np.isfinite(out[:, column]), f"outcome.{name}", "is no finite number")
         if column in ranges:
             require_range(out[:, column], *ranges[column], f"outcome.{name}")
             require(out[:, column] == np.floor(out[:, column]), f"outcome.{name}", "is no integer")
-        elif column != SLOT_COST:  # a difference of sums
+        elif column != OUTCOME.slot_cost:  # a difference of sums
             require(out[:, column] >= 0, f"outcome.{name}", "is negative")
 
 

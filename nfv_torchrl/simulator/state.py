@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.codec import count_actions, count_vms
+from nfv_torchrl.columns import columns
 from nfv_torchrl.simulator.compiled import records
 from nfv_torchrl.simulator.tables import Rules, Tables
+from nfv_torchrl.simulator.view import AT
 
 ENV_DTYPE = np.dtype(
     [
@@ -143,49 +145,33 @@ class World(NamedTuple):
     outcome: np.ndarray  # float64 [B, len(OUTCOME)]
 
 
-OUTCOME = (
-    "passed",  # the step passed every check
-    "step_cost",  # phi~ of a step that passed, $
-    "request_done",
-    "accepted",
-    "reason",  # Reason code, -1 if accepted or not done
-    "request_cost",  # phi of an accepted request, $
-    "request_delay",  # ms, of an accepted request
-    "request_hops",  # links used by an accepted request
-    "service",  # type index of the request that was stepped
-    "request_slot",  # its arrival slot
-    "slots_closed",  # counted slots (after warm-up) that ended with this step
-    "slot_cost",  # sum of Phi_t over them, $
-    "slot_vm_use",  # sum over them of the used share of all VM capacity
-    "slot_link_use",  # the same for links
-    "interrupted",  # running requests lost to failures with this step
-    "done",  # end of the horizon
-)
-"""Columns of ``World.outcome``: what the last step of each environment brought."""
+class Outcome(NamedTuple):
+    """Columns of ``World.outcome``: what the last step of each environment brought."""
 
-(
-    PASSED,
-    STEP_COST,
-    REQUEST_DONE,
-    ACCEPTED,
-    REASON,
-    REQUEST_COST,
-    REQUEST_DELAY,
-    REQUEST_HOPS,
-    SERVICE,
-    REQUEST_SLOT,
-    SLOTS_CLOSED,
-    SLOT_COST,
-    SLOT_VM_USE,
-    SLOT_LINK_USE,
-    INTERRUPTED,
-    DONE,
-) = range(len(OUTCOME))
+    passed: int  # the step passed every check
+    step_cost: int  # phi~ of a step that passed, $
+    request_done: int
+    accepted: int
+    reason: int  # Reason code, -1 if accepted or not done
+    request_cost: int  # phi of an accepted request, $
+    request_delay: int  # ms, of an accepted request
+    request_hops: int  # links used by an accepted request
+    service: int  # type index of the request that was stepped
+    request_slot: int  # its arrival slot
+    slots_closed: int  # counted slots (after warm-up) that ended with this step
+    slot_cost: int  # sum of Phi_t over them, $
+    slot_vm_use: int  # sum over them of the used share of all VM capacity
+    slot_link_use: int  # the same for links
+    interrupted: int  # running requests lost to failures with this step
+    done: int  # end of the horizon
+
+
+OUTCOME = columns(Outcome)
 
 
 def flat_size(nodes: int, vms: int, links: int, services: int, functions: int, one_hot: bool) -> int:
     """P_i of the paper (section VI): N V + L + 5, and the one-hot features when they are on."""
-    return count_vms(nodes, vms) + links + 5 + (services + 2 * nodes + functions + 1 if one_hot else 0)
+    return count_vms(nodes, vms) + links + len(AT) + (services + 2 * nodes + functions + 1 if one_hot else 0)
 
 
 def new_world(

@@ -15,7 +15,7 @@ from torchrl.data import Bounded, Categorical
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError, one_line
 from nfv_torchrl.simulator import REASON_NAMES
-from nfv_torchrl.simulator.state import ACCEPTED, REASON, REQUEST_DONE, SERVICE
+from nfv_torchrl.simulator.state import OUTCOME
 
 REMEDY = "record it again, in another folder"
 
@@ -102,8 +102,9 @@ def _check_values(what: str, value: Tensor, limits: tuple[int, int] | None) -> N
 
 def _check_statistics(folder: Path, statistics: Tensor, services: int) -> None:
     """The columns that sums are grouped by."""
-    done, accepted = statistics[..., REQUEST_DONE] > 0, statistics[..., ACCEPTED] > 0
-    for column, rows, kinds in ((SERVICE, done, services), (REASON, done & ~accepted, len(REASON_NAMES))):
+    done, accepted = statistics[..., OUTCOME.request_done] > 0, statistics[..., OUTCOME.accepted] > 0
+    grouped = ((OUTCOME.service, done, services), (OUTCOME.reason, done & ~accepted, len(REASON_NAMES)))
+    for column, rows, kinds in grouped:
         values = statistics[..., column][rows]
         if not torch.isin(values, torch.arange(kinds, dtype=values.dtype)).all():
             raise ScenarioError(f"dataset: {folder / 'next.statistics'}.npy names no service or reason; {REMEDY}")

@@ -7,23 +7,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from nfv_torchrl.simulator import REASON_NAMES
-from nfv_torchrl.simulator.state import (
-    ACCEPTED,
-    INTERRUPTED,
-    REASON,
-    REQUEST_COST,
-    REQUEST_DELAY,
-    REQUEST_DONE,
-    REQUEST_HOPS,
-    REQUEST_SLOT,
-    SERVICE,
-    SLOT_COST,
-    SLOT_LINK_USE,
-    SLOT_VM_USE,
-    SLOTS_CLOSED,
-)
+from nfv_torchrl.simulator.state import OUTCOME
 
-_SUMMED = (ACCEPTED, REQUEST_COST, REQUEST_DELAY, REQUEST_HOPS, SLOTS_CLOSED, SLOT_COST, SLOT_VM_USE, SLOT_LINK_USE)
+_OF_REQUESTS = (OUTCOME.accepted, OUTCOME.request_cost, OUTCOME.request_delay, OUTCOME.request_hops)
+_OF_SLOTS = (OUTCOME.slots_closed, OUTCOME.slot_cost, OUTCOME.slot_vm_use, OUTCOME.slot_link_use)
 
 
 class TrainingWindow:
@@ -42,7 +29,7 @@ class TrainingWindow:
     def reset(self) -> None:
         """Forget everything."""
         kinds = len(self.services)
-        self.sums = torch.zeros(len(_SUMMED), dtype=torch.float64)
+        self.sums = torch.zeros(len(_OF_REQUESTS + _OF_SLOTS), dtype=torch.float64)
         self.interrupted = torch.zeros((), dtype=torch.float64)
         self.arrived = torch.zeros(kinds, dtype=torch.float64)
         self.accepted = torch.zeros(kinds, dtype=torch.float64)
@@ -52,17 +39,17 @@ class TrainingWindow:
         """Take in a collected batch; reads ``("next", "statistics")`` float32 [..., 16]."""
         rows = data.get(("next", "statistics")).flatten(0, -2).to(torch.float64)
         # Slot sums leave out the warm-up already; requests that arrived in it are dropped here.
-        ended = rows[(rows[:, REQUEST_DONE] > 0) & (rows[:, REQUEST_SLOT] >= self.warmup)]
-        for place, column in enumerate(_SUMMED):
-            source = rows if column in (SLOTS_CLOSED, SLOT_COST, SLOT_VM_USE, SLOT_LINK_USE) else ended
+        ended = rows[(rows[:, OUTCOME.request_done] > 0) & (rows[:, OUTCOME.request_slot] >= self.warmup)]
+        for place, column in enumerate(_OF_REQUESTS + _OF_SLOTS):
+            source = rows if column in _OF_SLOTS else ended
             self.sums[place] += source[:, column].sum()
-        self.interrupted += rows[:, INTERRUPTED].sum()
-        service = ended[:, SERVICE].long()
-        taken = ended[:, ACCEPTED] > 0
+        self.interrupted += rows[:, OUTCOME.interrupted].sum()
+        service = ended[:, OUTCOME.service].long()
+        taken = ended[:, OUTCOME.accepted] > 0
         kinds = len(self.services)
         self.arrived += service.bincount(minlength=kinds)
         self.accepted += service[taken].bincount(minlength=kinds)
-        self.reasons += ended[~taken, REASON].long().bincount(minlength=len(REASON_NAMES))
+        self.reasons += ended[~taken, OUTCOME.reason].long().bincount(minlength=len(REASON_NAMES))
 
     def metrics(self) -> dict[str, float]:
         """AAR, ANUC and the rest over the window, by TensorBoard tag; what has no data yet is left out."""

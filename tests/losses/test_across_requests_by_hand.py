@@ -11,7 +11,7 @@ from two_states import SIZES, set_target, table_network
 
 from nfv_torchrl.losses import CentredDQN, DifferentialDQN, SlotDiscountDQN
 from nfv_torchrl.losses.n_step import n_step_returns
-from nfv_torchrl.simulator.state import OUTCOME, SERVICE, SLOTS_CLOSED
+from nfv_torchrl.simulator.state import OUTCOME
 
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 
@@ -28,8 +28,8 @@ def batch(rewards, request_done, *, done=None, terminated=None, slots=None, serv
     here = torch.tensor([[1, 1, 0, 0]], dtype=torch.bool).expand(1, steps, 4)
     there = torch.tensor([[1, 0, 1, 0]], dtype=torch.bool).expand(1, steps, 4)
     statistics = torch.zeros(1, steps, len(OUTCOME))
-    statistics[0, :, SLOTS_CLOSED] = torch.tensor(slots or nothing, dtype=torch.float32)
-    statistics[0, :, SERVICE] = torch.tensor(services or nothing, dtype=torch.float32)
+    statistics[0, :, OUTCOME.slots_closed] = torch.tensor(slots or nothing, dtype=torch.float32)
+    statistics[0, :, OUTCOME.service] = torch.tensor(services or nothing, dtype=torch.float32)
     flags = {"request_done": request_done, "done": done or terminated or nothing, "terminated": terminated or nothing}
     after = {name: torch.tensor(flag, dtype=torch.bool).view(1, -1, 1) for name, flag in flags.items()}
     after |= {"observation": torch.ones(1, steps, 1), "action_mask": there, "statistics": statistics}

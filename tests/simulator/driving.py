@@ -47,7 +47,7 @@ def mask_of(simulator: Simulator, b: int = 0) -> list[bool]:
 
 
 def outcome_of(simulator: Simulator, b: int = 0) -> dict[str, float]:
-    return dict(zip(OUTCOME, simulator.world.outcome[b].tolist(), strict=True))
+    return dict(zip(OUTCOME._fields, simulator.world.outcome[b].tolist(), strict=True))
 
 
 def counters_of(simulator: Simulator, b: int = 0) -> list[float]:

@@ -16,7 +16,7 @@ from nfv_torchrl.evaluation.methods import RandomMethod
 from nfv_torchrl.observations import CandidateObservation, RequestObservation
 from nfv_torchrl.observations.graph import GraphObservation
 from nfv_torchrl.scenario import paper_scenario
-from nfv_torchrl.simulator.state import ACCEPTED, REASON, REQUEST_DONE, SERVICE
+from nfv_torchrl.simulator.state import OUTCOME
 from nfv_torchrl.training.recording import Dataset
 
 ORIGIN = {"method": "random", "scenario": {"nodes": 4}}
@@ -91,11 +91,11 @@ def forbid(values):
 
 
 def name_a_service(values):
-    values[..., REQUEST_DONE], values[..., SERVICE] = 1.0, 1e12
+    values[..., OUTCOME.request_done], values[..., OUTCOME.service] = 1.0, 1e12
 
 
 def name_a_reason(values):
-    values[..., REQUEST_DONE], values[..., ACCEPTED], values[..., REASON] = 1.0, 0.0, -1.0
+    values[..., OUTCOME.request_done], values[..., OUTCOME.accepted], values[..., OUTCOME.reason] = 1.0, 0.0, -1.0
 
 
 class Payload:
