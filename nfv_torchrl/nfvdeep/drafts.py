@@ -171,7 +171,7 @@ def _cheapest_vm(problem, drafts, b, node, latest):
 
 
 @part
-def _find_nodes(problem, delay_to, options, drafts, b):
+def _find_nodes(problem, options, drafts, b):
     """Nodes that can take the next function, with their routes and VMs; returns how many."""
     mask, vm = drafts.mask[b], drafts.vm[b]
     i, here = drafts.placed[b], drafts.node[b]
@@ -186,7 +186,7 @@ def _find_nodes(problem, delay_to, options, drafts, b):
             continue
         if drafts.steps[b] + max(drafts.hops[b, node], 1) > problem.max_steps:
             continue
-        left = budget - drafts.elapsed[b] - drafts.delay[b, node] - delay_to[node, problem.egress]
+        left = budget - drafts.elapsed[b] - drafts.delay[b, node] - problem.delay_to[node, problem.egress]
         vm[node] = _cheapest_vm(problem, drafts, b, node, left)
         if vm[node] >= 0:
             mask[node] = True
@@ -271,7 +271,7 @@ def _finish(problem, options, drafts, b):
 
 
 @part
-def _settle(problem, delay_to, options, drafts, b):
+def _settle(problem, options, drafts, b):
     """Go on until a node is to be chosen, the plan is complete, or only to refuse is left.
 
     Where nothing fits, the last placement is undone, as often as ``options.backtracks`` allows.
@@ -281,7 +281,7 @@ def _settle(problem, delay_to, options, drafts, b):
             if _finish(problem, options, drafts, b):
                 drafts.state[b] = COMPLETE
                 return
-        elif _find_nodes(problem, delay_to, options, drafts, b) > 0:
+        elif _find_nodes(problem, options, drafts, b) > 0:
             drafts.mask[b, drafts.mask.shape[1] - 1] = options.may_refuse
             return
         if drafts.placed[b] == 0 or drafts.backtracks[b] >= options.backtracks:
@@ -355,7 +355,7 @@ def _begin(world, problem, options, drafts, b):
     drafts.vm_used[b] = 0
     drafts.link_used[b] = 0
     drafts.excluded[b, 0] = False
-    _settle(problem, _delay_to(world, b), options, drafts, b)
+    _settle(problem, options, drafts, b)
     _observe(problem, world.tables, drafts, b)
 
 
@@ -366,15 +366,9 @@ def _choose(world, problem, choice, options, drafts, b):
         drafts.state[b] = REFUSED
         return
     _place(problem, drafts, b, choice)
-    _settle(problem, _delay_to(world, b), options, drafts, b)
+    _settle(problem, options, drafts, b)
     if drafts.state[b] == OPEN:
         _observe(problem, world.tables, drafts, b)
-
-
-@part
-def _delay_to(world, b):
-    """ms of the quickest way between any two nodes for the request of environment b, float64 [N, N]."""
-    return world.tables.delay_to[world.env[b].net, world.env[b].service]
 
 
 @kernel
@@ -418,7 +412,7 @@ def revise_env(world, options, drafts, b):
         return
     problem = make_problem(world, b, unit_costs(world, b))
     refuse = drafts.mask.shape[1] - 1
-    if _find_nodes(problem, _delay_to(world, b), options, drafts, b) > 0:
+    if _find_nodes(problem, options, drafts, b) > 0:
         drafts.mask[b, refuse] = options.may_refuse
     else:
         drafts.mask[b, refuse] = True

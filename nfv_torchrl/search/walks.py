@@ -40,6 +40,7 @@ class Problem(NamedTuple):
     vm_count: np.ndarray  # int64 [N]
     vm_speed: np.ndarray  # float64 [N, V], Mcycles/s
     hop_delay: np.ndarray  # float64 [L], ms
+    delay_to: np.ndarray  # float64 [N, N], ms: least sum of hop delays, capacities ignored
     vm_offered: np.ndarray  # int64 [N, V]
     link_offered: np.ndarray  # int64 [L]
     vm_price: np.ndarray  # float64 [N, V], $ per Mcycles/s
@@ -98,6 +99,7 @@ def make_problem(world, b, prices):
         tables.vm_count[net],
         tables.vm_speed[net],
         tables.hop_delay[net, service],
+        tables.delay_to[net, service],
         world.ledger.vm_offered[b],
         world.ledger.link_offered[b],
         prices.vm,
