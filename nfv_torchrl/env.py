@@ -7,17 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from nfv_torchrl import rewards
 from nfv_torchrl.errors import CheckpointError, ScenarioError
-from nfv_torchrl.observations import MemoryObservation, ObservationPart, RequestObservation, read_observation
+from nfv_torchrl.observations import (
+    MemoryObservation,
+    ObservationPart,
+    RequestObservation,
+    outcome_spec,
+    read_observation,
+    read_outcome,
+)
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import LARGEST_SEED, Stream, check_seed, generator
 from nfv_torchrl.search.loading import Loader
-from nfv_torchrl.simulator import REASON_NAMES, Simulator
-from nfv_torchrl.simulator.reasons import NO_REASON
+from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.snapshot import restore_snapshot, take_snapshot
 from nfv_torchrl.simulator.state import OUTCOME
 from nfv_torchrl.state_checks import check_array, check_arrays, check_keys, check_list, check_whole
@@ -48,9 +54,9 @@ class NFVEnv(EnvBase):
     Keys (A = 2 N V actions and ``reject``, the last; float32, shapes after the batch dimension):
         ``observation`` [P]: used share of every VM and link, service, node, VM, function and delay (eq. of the
         network state), and the one-hot features. ``action_mask`` bool [A + 1]. ``action`` int64 []. ``reward`` [1].
-        ``request_done``, ``accepted`` bool [1]: of the last step. ``rejection_reason`` int64 [1]: a ``Reason``, -1 for
-        none. ``request_cost`` [1]: phi of a request accepted with the last step, $. ``statistics`` [16]: the columns
-        of ``nfv_torchrl.simulator.OUTCOME``. ``done``, ``terminated`` bool [1].
+        ``request_done`` bool [1]: the last step ended a request. ``outcome``, nested, [1] each: what else it brought,
+        by the names in ``nfv_torchrl.simulator.state.Outcome``; ``accepted`` and ``passed`` bool, ``reason`` (a
+        ``Reason``, -1 for none) and ``service`` int64. ``done``, ``terminated`` bool [1].
 
     Raises:
         ScenarioError: scenarios that do not fit together.
@@ -96,10 +102,7 @@ class NFVEnv(EnvBase):
             "observation": Unbounded((*batch, view.flat.shape[1]), dtype=torch.float32),
             "action_mask": Binary(self.num_actions, shape=(*batch, self.num_actions), dtype=torch.bool),
             "request_done": Binary(1, shape=(*batch, 1), dtype=torch.bool),
-            "accepted": Binary(1, shape=(*batch, 1), dtype=torch.bool),
-            "rejection_reason": Bounded(NO_REASON, len(REASON_NAMES) - 1, (*batch, 1), dtype=torch.int64),
-            "request_cost": Unbounded((*batch, 1), dtype=torch.float32),
-            "statistics": Unbounded((*batch, len(OUTCOME)), dtype=torch.float32),
+            "outcome": outcome_spec(self.simulator),
         }
         for part in self.parts:
             spec.update(part.specs(self.simulator))
@@ -108,16 +111,6 @@ class NFVEnv(EnvBase):
         self.reward_spec = Unbounded((*batch, 1), dtype=torch.float32)
         flag = Binary(1, shape=(*batch, 1), dtype=torch.bool)
         self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), shape=batch)
-
-    def _outcome_keys(self, outcome: torch.Tensor) -> dict[str, torch.Tensor]:
-        """The named keys of ``outcome`` float64 [B, 16]."""
-        return {
-            "request_done": outcome[:, OUTCOME.request_done, None] > 0,
-            "accepted": outcome[:, OUTCOME.accepted, None] > 0,
-            "rejection_reason": outcome[:, OUTCOME.reason, None].to(torch.int64),
-            "request_cost": outcome[:, OUTCOME.request_cost, None].to(torch.float32),
-            "statistics": outcome.to(torch.float32),
-        }
 
     def _act(self, actions: np.ndarray) -> None:
         """Carry out ``actions`` int64 [B]."""
@@ -145,7 +138,8 @@ class NFVEnv(EnvBase):
             memory.keep(tensordict, done)
         return self._observe().update(
             {
-                **self._outcome_keys(outcome),
+                "request_done": outcome[:, OUTCOME.request_done, None] > 0,
+                "outcome": read_outcome(outcome),
                 "reward": torch.from_numpy(reward).unsqueeze(-1),
                 "done": done,
                 "terminated": terminated,
@@ -169,8 +163,14 @@ class NFVEnv(EnvBase):
         # A horizon without any request is over before its first step; a root that is done would be reset for ever, so
         # that is said with the first step instead. Rows that are not reset keep what TorchRL has for them.
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
-        keys = {**self._outcome_keys(outcome), "done": done, "terminated": done.clone()}
-        return self._observe().update(keys)
+        return self._observe().update(
+            {
+                "request_done": outcome[:, OUTCOME.request_done, None] > 0,
+                "outcome": read_outcome(outcome),
+                "done": done,
+                "terminated": done.clone(),
+            }
+        )
 
     def _rows_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:
         partial = None if tensordict is None else tensordict.get("_reset", None)

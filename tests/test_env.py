@@ -94,21 +94,21 @@ def test_specs(option, batch_size):
     assert data["next", "done"].any()
     assert torch.equal(data["next", "done"], data["next", "terminated"])
     assert env.observation_spec.contains(env.reset().select(*env.observation_spec.keys(True, True)))
-    assert not (data["next", "rejection_reason"] == Reason.INVALID_ACTION).any()
+    assert not (data["next", "outcome", "reason"] == Reason.INVALID_ACTION).any()
     assert (data["observation"] >= 0).all()
     assert (data["observation"] <= 1).all()
     # A request ends accepted or for a reason, and an answer is given only then.
-    ended, accepted = data["next", "request_done"], data["next", "accepted"]
-    assert torch.equal(data["next", "rejection_reason"] >= 0, ended & ~accepted)
-    assert torch.equal(data["next", "request_cost"] > 0, accepted)
+    ended, accepted = data["next", "request_done"], data["next", "outcome", "accepted"]
+    assert torch.equal(data["next", "outcome", "reason"] >= 0, ended & ~accepted)
+    assert torch.equal(data["next", "outcome", "request_cost"] > 0, accepted)
 
 
 def test_networks_of_different_sizes():
     env = NFVEnv([tiny(), toy_sized(6), toy_sized(4)], 5, observations=EVERY_PART)
     check_env_specs(env)
     data = rollout(env, 100)
-    assert not (data["next", "rejection_reason"] == Reason.INVALID_ACTION).any()
-    assert data["next", "accepted"].any(1).all()
+    assert not (data["next", "outcome", "reason"] == Reason.INVALID_ACTION).any()
+    assert data["next", "outcome", "accepted"].any(1).all()
     with pytest.raises(ScenarioError, match="horizon"):
         NFVEnv([tiny(), tiny(horizon=9)], 2)
 
@@ -188,7 +188,7 @@ def test_partial_resets():
             assert env.simulator.world.env["num_running"][1] == 0
             assert td["observation"][1, : 5 * 2].sum() == 0
             assert not td["request_done"][1]
-            assert td["rejection_reason"][1] == -1
+            assert td["outcome", "reason"][1] == -1
     assert env.simulator.world.env["slot"][0] > 0
 
 
@@ -428,15 +428,15 @@ def test_admission_step_cost_reward():
 def test_answers():
     steps = play(toy_env(), [*WALK, toy.action(1), toy.REJECT])
     assert [step["request_done"].item() for step in steps] == [False, False, True, False, True]
-    assert [step["accepted"].item() for step in steps] == [False, False, True, False, False]
-    assert [step["rejection_reason"].item() for step in steps] == [-1, -1, -1, -1, Reason.INVALID_ACTION]
-    assert [step["request_cost"].item() for step in steps] == [0, 0, 55, 0, 0]
+    assert [step["outcome", "accepted"].item() for step in steps] == [False, False, True, False, False]
+    assert [step["outcome", "reason"].item() for step in steps] == [-1, -1, -1, -1, Reason.INVALID_ACTION]
+    assert [step["outcome", "request_cost"].item() for step in steps] == [0, 0, 55, 0, 0]
 
 
 @pytest.mark.parametrize("action", [-1, -5, 17, 10**9])
 def test_actions_that_are_none(action):
     (step,) = play(toy_env(), [action])
-    assert (step["rejection_reason"].item(), step["request_done"].item()) == (Reason.INVALID_ACTION, True)
+    assert (step["outcome", "reason"].item(), step["request_done"].item()) == (Reason.INVALID_ACTION, True)
     assert step["reward"].item() == 0
 
 

@@ -94,8 +94,9 @@ def test_it_is_environment_0_of_an_nfv_env():
             step = theirs.step(td.clone().set("action", torch.tensor(actions)))["next"]
             observation, reward, terminated, _, info = ours.step(actions[0])
             assert reward == pytest.approx(step["reward"][0].item())
-            for name in ("request_done", "accepted", "rejection_reason"):
-                assert step[name][0].item() == info[name]
+            assert step["request_done"][0].item() == info["request_done"]
+            for name, key in (("accepted", "accepted"), ("reason", "rejection_reason")):
+                assert step["outcome", name][0].item() == info[key]
             assert terminated == step["terminated"][0].item()
             td = step.exclude("reward")
         # Each reset is the next horizon.

@@ -41,9 +41,9 @@ def test_training_and_evaluation_are_the_same_decisions(colocation, tmp_path):
     record = run_method(scenario, PlannerMethod(planner, name="nfvdeep"), [5], workloads=[scenario.workload(5, 0, 0)])[
         0
     ]
-    assert data["next", "accepted"][ended].tolist() == record.accepted.tolist()
+    assert data["next", "outcome", "accepted"][ended].tolist() == record.accepted.tolist()
     assert not record.accepted.all()
-    costs = data["next", "request_cost"][ended & data["next", "accepted"]].numpy()
+    costs = data["next", "outcome", "request_cost"][ended & data["next", "outcome", "accepted"]].numpy()
     np.testing.assert_allclose(costs, record.cost[record.accepted], rtol=1e-6)
     # What a complete plan promises, the step checks of the simulator keep: the only refusals are the planner's.
     assert set(record.reason[~record.accepted].tolist()) <= {4, 5}
@@ -66,7 +66,7 @@ def test_a_saved_state_goes_on_to_the_bit():
     stopped.rollout(41, HASHED, break_when_any_done=False)
     resumed.load_state_dict(stopped.state_dict())
     rest = resumed.rollout(49, HASHED, break_when_any_done=False)
-    for key in ("observation", "action_mask", "action", ("next", "reward"), ("next", "statistics")):
+    for key in ("observation", "action_mask", "action", ("next", "reward"), ("next", "outcome", "slot_cost")):
         assert torch.equal(rest[key], expected[:, 41:][key]), key
 
 

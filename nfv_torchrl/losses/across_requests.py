@@ -15,7 +15,6 @@ from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax
 from nfv_torchrl.losses.n_step import last_of_sums, n_step_returns
 from nfv_torchrl.networks import NetworkFactory, Sizes
-from nfv_torchrl.simulator.state import OUTCOME
 
 
 class AcrossRequests(MaskedLoss):
@@ -58,7 +57,7 @@ class AcrossRequests(MaskedLoss):
     observation and mask, k steps on, with ``reward`` float32 [1], the sum of the $D_i r_{t+i}$, ``terminated``
     bool [1], ``discount`` float32 [1], which is $D_k$, and ``requests`` float32 [M], the sum of
     $D_i e_{t+i}$ by service (M = 1 or the number of types). ``prepare`` makes them from a batch [B, T], time in
-    dimension 1, with ``request_done`` bool [1], ``done`` bool [1] and ``statistics`` [16] under ``next``.
+    dimension 1, with ``request_done`` bool [1], ``done`` bool [1] and ``outcome`` under ``next``.
 
     Writes ``loss`` []. Logs ``reward_rate`` [], the mean rate over services, and ``td_error`` [], the mean absolute
     error.
@@ -102,8 +101,9 @@ class AcrossRequests(MaskedLoss):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """What ``prepare`` reads; ``forward`` reads ``discount`` and ``requests`` in place of the last three."""
-        return [*super().in_keys, ("next", "request_done"), ("next", "done"), ("next", "statistics")]
+        """What ``prepare`` reads; ``forward`` reads ``discount`` and ``requests`` in place of the last four."""
+        outcome = (("next", "outcome", "service"), ("next", "outcome", "slots_closed"))
+        return [*super().in_keys, ("next", "request_done"), ("next", "done"), *outcome]
 
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Transitions of one step within a request and of up to n from its end on, [B, T] flattened."""
@@ -129,7 +129,7 @@ class AcrossRequests(MaskedLoss):
         over = after.get("request_done")
         if not self.by_service:
             return over
-        service = after.get("statistics")[..., OUTCOME.service].long()
+        service = after.get(("outcome", "service")).squeeze(-1)
         return over & (service.unsqueeze(-1) == torch.arange(len(self.rate), device=service.device))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:

@@ -10,7 +10,6 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.across_requests import AcrossRequests
 from nfv_torchrl.networks import NetworkFactory, Sizes
 from nfv_torchrl.settings.values import AtLeastOne, Count, Distance, Share
-from nfv_torchrl.simulator.state import OUTCOME
 
 
 class CentredDQN(AcrossRequests):
@@ -81,5 +80,5 @@ class CentredDQN(AcrossRequests):
         reward = after.get(self.tensor_keys.reward)
         if not self.by_service:
             return reward
-        service = after.get("statistics")[..., OUTCOME.service].long()
+        service = after.get(("outcome", "service")).squeeze(-1)
         return reward * torch.nn.functional.one_hot(service, len(self.rate))

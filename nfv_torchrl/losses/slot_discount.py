@@ -8,7 +8,6 @@ from torch import Tensor
 from nfv_torchrl.losses.centred import CentredDQN
 from nfv_torchrl.networks import NetworkFactory, Sizes
 from nfv_torchrl.settings.values import AtLeastOne, Count, Distance, Share
-from nfv_torchrl.simulator.state import OUTCOME
 
 
 class SlotDiscountDQN(CentredDQN):
@@ -64,4 +63,4 @@ class SlotDiscountDQN(CentredDQN):
 
     def request_discount(self, after: TensorDictBase) -> Tensor:
         """One factor per slot that ended with the step: see ``AcrossRequests``."""
-        return self.gamma ** after.get("statistics")[..., OUTCOME.slots_closed]
+        return self.gamma ** after.get(("outcome", "slots_closed")).squeeze(-1)

@@ -4,6 +4,7 @@ from nfv_torchrl.observations.base import ObservationPart, read_observation
 from nfv_torchrl.observations.candidates import CandidateObservation
 from nfv_torchrl.observations.graph import GraphObservation
 from nfv_torchrl.observations.memory import MemoryObservation
+from nfv_torchrl.observations.outcome import outcome_spec, read_outcome
 from nfv_torchrl.observations.request import RequestObservation
 
 __all__ = [
@@ -12,5 +13,7 @@ __all__ = [
     "MemoryObservation",
     "ObservationPart",
     "RequestObservation",
+    "outcome_spec",
     "read_observation",
+    "read_outcome",
 ]

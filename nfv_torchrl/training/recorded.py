@@ -14,8 +14,6 @@ from torchrl.data import Bounded, Categorical
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError, one_line
-from nfv_torchrl.simulator import REASON_NAMES
-from nfv_torchrl.simulator.state import OUTCOME
 
 REMEDY = "record it again, in another folder"
 
@@ -72,7 +70,7 @@ def check_part(folder: Path, part: TensorDictBase, env: NFVEnv) -> None:
             raise ScenarioError(f"dataset: {folder} has a state without any valid action; {REMEDY}")
     if not part["action_mask"].gather(-1, part["action"].unsqueeze(-1)).all():
         raise ScenarioError(f"dataset: {folder} has actions that its own mask forbids; {REMEDY}")
-    _check_statistics(folder, part["next", "statistics"], env.simulator.tables.load.shape[0])
+    _check_reasons(folder, part["next"])
 
 
 def _ranges(env: NFVEnv) -> dict[str, tuple[int, int]]:
@@ -100,11 +98,8 @@ def _check_values(what: str, value: Tensor, limits: tuple[int, int] | None) -> N
         raise ScenarioError(f"{what} holds numbers outside {limits[0]} .. {limits[1]}; {REMEDY}")
 
 
-def _check_statistics(folder: Path, statistics: Tensor, services: int) -> None:
-    """The columns that sums are grouped by."""
-    done, accepted = statistics[..., OUTCOME.request_done] > 0, statistics[..., OUTCOME.accepted] > 0
-    grouped = ((OUTCOME.service, done, services), (OUTCOME.reason, done & ~accepted, len(REASON_NAMES)))
-    for column, rows, kinds in grouped:
-        values = statistics[..., column][rows]
-        if not torch.isin(values, torch.arange(kinds, dtype=values.dtype)).all():
-            raise ScenarioError(f"dataset: {folder / 'next.statistics'}.npy names no service or reason; {REMEDY}")
+def _check_reasons(folder: Path, after: TensorDictBase) -> None:
+    """What is rejected has a reason; sums are grouped by it."""
+    rejected = after["request_done"] & ~after["outcome", "accepted"]
+    if (after["outcome", "reason"][rejected] < 0).any():
+        raise ScenarioError(f"dataset: {folder / 'next.outcome.reason'}.npy names no reason; {REMEDY}")

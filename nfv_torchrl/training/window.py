@@ -7,10 +7,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from nfv_torchrl.simulator import REASON_NAMES
-from nfv_torchrl.simulator.state import OUTCOME
 
-_OF_REQUESTS = (OUTCOME.accepted, OUTCOME.request_cost, OUTCOME.request_delay, OUTCOME.request_hops)
-_OF_SLOTS = (OUTCOME.slots_closed, OUTCOME.slot_cost, OUTCOME.slot_vm_use, OUTCOME.slot_link_use)
+_OF_REQUESTS = ("accepted", "request_cost", "request_delay", "request_hops")
+_OF_SLOTS = ("slots_closed", "slot_cost", "slot_vm_use", "slot_link_use")
+_READ = (*_OF_REQUESTS, *_OF_SLOTS, "interrupted", "service", "reason", "request_slot")
 
 
 class TrainingWindow:
@@ -36,20 +36,22 @@ class TrainingWindow:
         self.reasons = torch.zeros(len(REASON_NAMES), dtype=torch.float64)
 
     def add(self, data: TensorDictBase) -> None:
-        """Take in a collected batch; reads ``("next", "statistics")`` float32 [..., 16]."""
-        rows = data.get(("next", "statistics")).flatten(0, -2).to(torch.float64)
+        """Take in a collected batch; reads ``request_done`` and ``outcome`` under ``next``, [..., 1] each."""
+        after, outcome = data.get("next"), data.get(("next", "outcome"))
+        rows = torch.cat([outcome.get(name) for name in _READ], -1).flatten(0, -2).to(torch.float64)
+        step = dict(zip(_READ, rows.unbind(-1), strict=True))
         # Slot sums leave out the warm-up already; requests that arrived in it are dropped here.
-        ended = rows[(rows[:, OUTCOME.request_done] > 0) & (rows[:, OUTCOME.request_slot] >= self.warmup)]
-        for place, column in enumerate(_OF_REQUESTS + _OF_SLOTS):
-            source = rows if column in _OF_SLOTS else ended
-            self.sums[place] += source[:, column].sum()
-        self.interrupted += rows[:, OUTCOME.interrupted].sum()
-        service = ended[:, OUTCOME.service].long()
-        taken = ended[:, OUTCOME.accepted] > 0
+        counted = rows[after.get("request_done").flatten() & (step["request_slot"] >= self.warmup)]
+        ended = dict(zip(_READ, counted.unbind(-1), strict=True))
+        sources = [ended[name] for name in _OF_REQUESTS] + [step[name] for name in _OF_SLOTS]
+        for place, source in enumerate(sources):
+            self.sums[place] += source.sum()
+        self.interrupted += step["interrupted"].sum()
+        service, taken = ended["service"].long(), ended["accepted"] > 0
         kinds = len(self.services)
         self.arrived += service.bincount(minlength=kinds)
         self.accepted += service[taken].bincount(minlength=kinds)
-        self.reasons += ended[~taken, OUTCOME.reason].long().bincount(minlength=len(REASON_NAMES))
+        self.reasons += ended["reason"][~taken].long().bincount(minlength=len(REASON_NAMES))
 
     def metrics(self) -> dict[str, float]:
         """AAR, ANUC and the rest over the window, by TensorBoard tag; what has no data yet is left out."""

@@ -11,7 +11,6 @@ from two_states import SIZES, set_target, table_network
 
 from nfv_torchrl.losses import CentredDQN, DifferentialDQN, SlotDiscountDQN
 from nfv_torchrl.losses.n_step import n_step_returns
-from nfv_torchrl.simulator.state import OUTCOME
 
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 
@@ -27,12 +26,11 @@ def batch(rewards, request_done, *, done=None, terminated=None, slots=None, serv
     nothing = [0] * steps
     here = torch.tensor([[1, 1, 0, 0]], dtype=torch.bool).expand(1, steps, 4)
     there = torch.tensor([[1, 0, 1, 0]], dtype=torch.bool).expand(1, steps, 4)
-    statistics = torch.zeros(1, steps, len(OUTCOME))
-    statistics[0, :, OUTCOME.slots_closed] = torch.tensor(slots or nothing, dtype=torch.float32)
-    statistics[0, :, OUTCOME.service] = torch.tensor(services or nothing, dtype=torch.float32)
+    outcome = {"slots_closed": torch.tensor(slots or nothing, dtype=torch.float32).view(1, -1, 1)}
+    outcome["service"] = torch.tensor(services or nothing).view(1, -1, 1)
     flags = {"request_done": request_done, "done": done or terminated or nothing, "terminated": terminated or nothing}
     after = {name: torch.tensor(flag, dtype=torch.bool).view(1, -1, 1) for name, flag in flags.items()}
-    after |= {"observation": torch.ones(1, steps, 1), "action_mask": there, "statistics": statistics}
+    after |= {"observation": torch.ones(1, steps, 1), "action_mask": there, "outcome": outcome}
     after["reward"] = torch.tensor(rewards, dtype=torch.float32).view(1, -1, 1)
     seen = {"observation": torch.zeros(1, steps, 1), "action_mask": here, "action": torch.ones(1, steps).long()}
     return TensorDict({**seen, "next": TensorDict(after, batch_size=[1, steps])}, batch_size=[1, steps])

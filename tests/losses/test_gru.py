@@ -192,7 +192,7 @@ def test_an_evaluation_carries_the_memory(small):
     records = [run_method(scenario, method, [0], workloads=[workload])[0] for _ in range(2)]
     with torch.no_grad():
         data = make_env(scenario, loss, 1).rollout(10_000, loss.actor)
-    accepted = data["next", "accepted"][data["next", "request_done"]]
+    accepted = data["next", "outcome", "accepted"][data["next", "request_done"]]
     for record in records:
         assert accepted.tolist() == record.accepted.tolist()
-        assert data["next", "request_cost"].sum().item() == pytest.approx(np.nansum(record.cost), rel=1e-5)
+        assert data["next", "outcome", "request_cost"].sum().item() == pytest.approx(np.nansum(record.cost), rel=1e-5)

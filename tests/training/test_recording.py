@@ -16,7 +16,6 @@ from nfv_torchrl.evaluation.methods import RandomMethod
 from nfv_torchrl.observations import CandidateObservation, RequestObservation
 from nfv_torchrl.observations.graph import GraphObservation
 from nfv_torchrl.scenario import paper_scenario
-from nfv_torchrl.simulator.state import OUTCOME
 from nfv_torchrl.training.recording import Dataset
 
 ORIGIN = {"method": "random", "scenario": {"nodes": 4}}
@@ -90,14 +89,6 @@ def forbid(values):
     values[..., 0] = True
 
 
-def name_a_service(values):
-    values[..., OUTCOME.request_done], values[..., OUTCOME.service] = 1.0, 1e12
-
-
-def name_a_reason(values):
-    values[..., OUTCOME.request_done], values[..., OUTCOME.accepted], values[..., OUTCOME.reason] = 1.0, 0.0, -1.0
-
-
 class Payload:
     """Pickled, it makes a folder."""
 
@@ -158,8 +149,8 @@ HOSTILE = {
     "a node that is none": array("request.node", set_all(-1)),
     "an end of a link that is none": array("graph.link_ends", set_all(4)),
     "a reason that is none": array("next.rejection_reason", set_all(7)),
-    "a service in the sums": array("next.statistics", name_a_service),
-    "a reason in the sums": array("next.statistics", name_a_reason),
+    "a service in the sums": array("next.outcome.service", set_all(2**40)),
+    "a reason in the sums": array("next.outcome.reason", set_all(-1)),
     "a reward that is no number": array("next.reward", set_all(np.nan)),
     "an infinite observation": array("observation", set_all(-np.inf)),
     "another shape": array("observation", lambda values: values[:, :1]),
