@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from nfv_torchrl.nfvdeep.drafts import OPEN, Drafts, Options, revise_env
-from nfv_torchrl.simulator.snapshot_checks import Step, check_form, refuse, require, require_range, retrace
+from nfv_torchrl.simulator.snapshot_checks import check_form, refuse, require, require_range, retrace
 from nfv_torchrl.simulator.state import World
+from nfv_torchrl.simulator.steps import Step
 
 
 def restore_drafts(
@@ -75,7 +76,7 @@ def _check_plan(world: World, drafts: Drafts, b: int) -> None:
     steps = retrace(tables, int(e["net"]), int(e["service"]), int(e["ingress"]), actions)
     if steps is None:
         refuse(f"drafts.action {where}", "is no walk in this network")
-    ends = [k + 1 for k, step in enumerate(steps) if step.place]
+    ends = [k + 1 for k, step in enumerate(steps) if step.places]
     if len(ends) != placed or len(steps) != (ends[-1] if ends else 0):
         refuse(f"drafts.placed {where}", "is not how many functions its steps place")
     begins = [0, *ends]
@@ -98,7 +99,7 @@ def _check_use(world: World, drafts: Drafts, b: int, steps: list[Step]) -> None:
     for step in steps:
         if step.link >= 0:
             link_used[step.link] += tables.rate_units[service]
-        if step.place:
+        if step.places:
             vm_used[step.node, step.vm] += tables.load_units[service, function]
             function += 1
     for name, used in (("vm_used", vm_used), ("link_used", link_used)):

@@ -6,13 +6,15 @@ again and compared; of the rest, every index and count is checked for its range.
 
 from __future__ import annotations
 
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
+from nfv_torchrl.codec import count_actions, decode_action, link_resource, vm_resource
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
 from nfv_torchrl.simulator.state import OUTCOME, Arrivals, Ledger, Running, Walk, World
+from nfv_torchrl.simulator.steps import Step
 from nfv_torchrl.simulator.tables import Tables
 from nfv_torchrl.simulator.view import SHARE_LEVELS
 
@@ -164,22 +166,13 @@ def _check_failures(world: World) -> None:
         require(flags == expected.reshape(flags.shape), f"ledger.{name}", "is not what the failures led to")
 
 
-class Step(NamedTuple):
-    """One step of a walk: the node it leads to, the link it takes (-1: none), the VM, and whether it places."""
-
-    node: int
-    link: int
-    vm: int
-    place: bool
-
-
 def retrace(tables: Tables, net: int, service: int, ingress: int, actions: np.ndarray) -> list[Step] | None:
     """The steps of ``actions`` int [steps] from ``ingress``; None where a walk cannot go like that."""
     _, nodes, vms = tables.vm_capacity.shape
     at, functions, steps = ingress, 0, []
     for action in actions.tolist():
-        node, vm, place = action // (2 * vms), action // 2 % vms, action % 2 == 1
-        if not 0 <= action < 2 * nodes * vms or node >= tables.num_nodes[net]:
+        node, vm, place = decode_action(action, vms)
+        if not 0 <= action < count_actions(nodes, vms) - 1 or node >= tables.num_nodes[net]:
             return None
         link = -1
         if node != at:
@@ -190,7 +183,7 @@ def retrace(tables: Tables, net: int, service: int, ingress: int, actions: np.nd
         functions += place
         if functions > tables.chain_length[service] or (place and vm >= tables.vm_count[net, node]):
             return None
-        steps.append(Step(node, link, vm, place))
+        steps.append(Step(link, node, vm, place))
         at = node
     return steps
 
@@ -212,11 +205,11 @@ def _check_walks(world: World) -> np.ndarray:
         entries, function = [], 0
         for step in steps:
             if step.link >= 0:
-                entries.append((nodes * vms + step.link, tables.rate_units[service]))
-            if step.place:
-                entries.append((step.node * vms + step.vm, tables.load_units[service, function]))
+                entries.append((link_resource(step.link, nodes, vms), tables.rate_units[service]))
+            if step.places:
+                entries.append((vm_resource(step.node, step.vm, vms), tables.load_units[service, function]))
                 function += 1
-        last = steps[-1] if steps else Step(ingress, -1, 0, False)
+        last = steps[-1] if steps else Step(-1, ingress, 0, False)
         hops = sum(step.link >= 0 for step in steps)
         expected = {"node": last.node, "last_vm": last.vm, "function": function, "hops": hops, "entries": len(entries)}
         for name, value in expected.items():
