@@ -16,7 +16,7 @@ MAY_IMPORT = {
     "simulator": BASE | {"scenario"},
     "search": BASE | {"scenario", "simulator"},
     "bounds": BASE | {"scenario", "simulator", "search"},
-    "planners": BASE | {"scenario", "simulator", "search"},
+    "planners": BASE | {"scenario", "settings", "simulator", "search"},
 }
 
 

@@ -15,6 +15,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.base import CompiledPlanner, over_rows
 from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
 from nfv_torchrl.search.walks import Prices
+from nfv_torchrl.settings.values import AboveOne, NotNegative
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.tables import Tables
 
@@ -32,7 +33,6 @@ class PricedScratch(NamedTuple):
 
     rule: PriceRule
     search: Scratch
-from nfv_torchrl.settings.values import AboveOne, NotNegative
 
 
 @kernel

@@ -148,7 +148,7 @@ HOSTILE = {
     "a service that is none": array("request.service", set_all(99)),
     "a node that is none": array("request.node", set_all(-1)),
     "an end of a link that is none": array("graph.link_ends", set_all(4)),
-    "a reason that is none": array("next.rejection_reason", set_all(7)),
+    "a reason that is none": array("next.outcome.reason", set_all(7)),
     "a service in the sums": array("next.outcome.service", set_all(2**40)),
     "a reason in the sums": array("next.outcome.reason", set_all(-1)),
     "a reward that is no number": array("next.reward", set_all(np.nan)),
