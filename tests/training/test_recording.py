@@ -89,6 +89,11 @@ def forbid(values):
     values[..., 0] = True
 
 
+def reject_all(folder):
+    for name, value in (("next.request_done", True), ("next.outcome.accepted", False), ("next.outcome.reason", -1)):
+        array(name, set_all(value))(folder)
+
+
 class Payload:
     """Pickled, it makes a folder."""
 
@@ -150,7 +155,7 @@ HOSTILE = {
     "an end of a link that is none": array("graph.link_ends", set_all(4)),
     "a reason that is none": array("next.outcome.reason", set_all(7)),
     "a service in the sums": array("next.outcome.service", set_all(2**40)),
-    "a reason in the sums": array("next.outcome.reason", set_all(-1)),
+    "rejected without a reason": reject_all,
     "a reward that is no number": array("next.reward", set_all(np.nan)),
     "an infinite observation": array("observation", set_all(-np.inf)),
     "another shape": array("observation", lambda values: values[:, :1]),
