@@ -13,7 +13,7 @@ from nfv_torchrl.simulator.compiled import inlined
 class Step(NamedTuple):
     """One step of a walk."""
 
-    link: int  # -1: the walk stays
+    link: int | np.signedinteger  # -1: the walk stays
     node: int  # where it leads
     vm: int
     places: bool  # whether the next function is placed on that VM
