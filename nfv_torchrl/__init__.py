@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from nfv_torchrl.evaluation.metrics import compute_metrics
     from nfv_torchrl.evaluation.runner import run_method
     from nfv_torchrl.losses import MaskedLoss, RequestLoss, greedy_actor
+    from nfv_torchrl.methods import Method, PlannerMethod, PolicyMethod, RandomMethod, load_policy
     from nfv_torchrl.networks import QNetwork, Sizes
     from nfv_torchrl.scenario import Scenario, ServiceType, Substrate, Workload, paper_scenario, read_topology
     from nfv_torchrl.simulator import Simulator
-    from nfv_torchrl.training.policies import load_policy
 
 __version__ = "0.1.0"
 
@@ -32,8 +32,12 @@ _HOMES = {
     "AuditError": "errors",
     "CheckpointError": "errors",
     "MaskedLoss": "losses",
+    "Method": "methods",
     "NFVEnv": "env",
+    "PlannerMethod": "methods",
+    "PolicyMethod": "methods",
     "QNetwork": "networks",
+    "RandomMethod": "methods",
     "RequestLoss": "losses",
     "Scenario": "scenario",
     "ScenarioError": "errors",
@@ -44,7 +48,7 @@ _HOMES = {
     "Workload": "scenario",
     "compute_metrics": "evaluation.metrics",
     "greedy_actor": "losses",
-    "load_policy": "training.policies",
+    "load_policy": "methods",
     "paper_scenario": "scenario",
     "read_topology": "scenario",
     "run_method": "evaluation.runner",
@@ -54,8 +58,12 @@ __all__ = [
     "AuditError",
     "CheckpointError",
     "MaskedLoss",
+    "Method",
     "NFVEnv",
+    "PlannerMethod",
+    "PolicyMethod",
     "QNetwork",
+    "RandomMethod",
     "RequestLoss",
     "Scenario",
     "ScenarioError",

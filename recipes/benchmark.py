@@ -35,11 +35,11 @@ from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import methods_from_config
 from nfv_torchrl.evaluation.runner import scenario_for
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.files import read_json, write_atomically
 from nfv_torchrl.folders import claim_file
+from nfv_torchrl.methods import methods_from_config
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.search.loading import Loader
 from nfv_torchrl.settings.recipes import BenchmarkSettings, read_settings

@@ -104,10 +104,10 @@ def training_cell(config: Mapping[str, Any], name: str, seed: int) -> Cell:
 def evaluation_cell(config: Mapping[str, Any], name: str, seeds: Sequence[int], run: Cell | None = None) -> Cell:
     """The policy of a training run, or the floor, on common workloads."""
     if run is None:
-        method = {"_target_": "nfv_torchrl.evaluation.methods.RandomMethod", "name": name, "mask": "feasible"}
+        method = {"_target_": "nfv_torchrl.methods.RandomMethod", "name": name, "mask": "feasible"}
         training = None
     else:
-        method = {"_target_": "nfv_torchrl.training.policies.load_policy", "_partial_": True, "name": name}
+        method = {"_target_": "nfv_torchrl.methods.load_policy", "_partial_": True, "name": name}
         training = run.spec
     spec = {"scenario": config["scenario"], "method": method, "training": training, "seeds": list(seeds)}
     return make_cell("evaluation", f"test-{run.label if run else name}", spec, [run] if run else [])

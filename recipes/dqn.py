@@ -25,6 +25,8 @@ from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.losses import q_network
+from nfv_torchrl.methods import load_weights
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import DqnSettings, read_settings
@@ -35,7 +37,6 @@ from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
-from nfv_torchrl.training.policies import load_weights, q_network
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.room import check_buffer, check_compiler, check_environments
 from nfv_torchrl.training.run import RunFolder, evaluate_policy

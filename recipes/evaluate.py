@@ -26,11 +26,11 @@ from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.errors import AuditError, ScenarioError
 from nfv_torchrl.evaluation.audit import audit_folders, find_runs
 from nfv_torchrl.evaluation.comparison import Comparison
-from nfv_torchrl.evaluation.methods import Method, methods_from_config
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import render, write_summary
 from nfv_torchrl.folders import claim
+from nfv_torchrl.methods import Method, methods_from_config
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvaluateSettings, read_settings
 from nfv_torchrl.settings.values import list_of_seeds

@@ -25,7 +25,8 @@ from nfv_torchrl.evaluation.records import RunRecord
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evolution import Strategy, Task
 from nfv_torchrl.evolution.fitness import Arena, summary
-from nfv_torchrl.evolution.policies import Evolvable
+from nfv_torchrl.methods import load_weights, policy_content
+from nfv_torchrl.methods.evolved import Evolvable
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvolutionSettings, read_settings
@@ -34,7 +35,6 @@ from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.finite import check_fitness
 from nfv_torchrl.training.logger import RunLogger
-from nfv_torchrl.training.policies import load_weights, policy_content
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.setup import StopRequest, seed_everything, set_threads
@@ -79,8 +79,7 @@ def main(cfg: DictConfig) -> None:
         if values["fitness"] > progress.best_fitness:
             progress.best_fitness, progress.best_aar = values["fitness"], values["aar"]
             progress.best_frames = progress.frames
-            parts = {**config, "loss": config["policy"]}
-            folder.save_best(policy_content(centre, sizes, parts, centre.settings(scenario), values))
+            folder.save_best(policy_content(centre, sizes, config, centre.settings(scenario), values))
 
     with StopRequest() as stop:
         while strategy.generation < cfg.generations and not stop.asked:

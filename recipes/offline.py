@@ -24,9 +24,9 @@ from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import methods_from_config
 from nfv_torchrl.evaluation.runner import scenario_for
-from nfv_torchrl.losses import has_target
+from nfv_torchrl.losses import has_target, q_network
+from nfv_torchrl.methods import methods_from_config
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import OfflineSettings, read_settings
@@ -36,7 +36,6 @@ from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
-from nfv_torchrl.training.policies import q_network
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.recording import Dataset
 from nfv_torchrl.training.room import check_compiler, check_environments

@@ -20,12 +20,12 @@ from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from nfv_torchrl.evaluation.figures import csv_text
-from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim_file
+from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import TunePricedSettings, read_settings

@@ -10,11 +10,11 @@ from torchrl.envs.utils import check_env_specs
 from toy import DUO, toy_scenario
 
 from nfv_torchrl.evaluation.audit import audit_folders
-from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses.policy_gradient import masked_actor
+from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.networks.mlp import MLPNetwork
 from nfv_torchrl.nfvdeep import NFVdeepEnv, NFVdeepPlanner
 from nfv_torchrl.nfvdeep.reward import Profit

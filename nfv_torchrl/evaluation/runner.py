@@ -9,8 +9,8 @@ import numpy as np
 
 from nfv_torchrl.codec import decode_action
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import Method
 from nfv_torchrl.evaluation.records import FORWARD, NO_ACTION, REJECT, RunRecord
+from nfv_torchrl.methods import Method
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload

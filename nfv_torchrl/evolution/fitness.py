@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
-from nfv_torchrl.evolution.policies import Evolvable, Player
 from nfv_torchrl.evolution.tasks import Task
+from nfv_torchrl.methods.evolved import Evolvable, Player
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.simulator import Simulator

@@ -14,13 +14,13 @@ import numpy as np
 from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.audit import audit_run
-from nfv_torchrl.evaluation.methods import Method, methods_from_config
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import RunRecord, write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.training import drop_checkpoints, run_folder, train
 from nfv_torchrl.inputs import file_digests
+from nfv_torchrl.methods import Method, methods_from_config
 from nfv_torchrl.rewards import cost_scale
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator

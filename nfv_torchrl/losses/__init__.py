@@ -2,7 +2,8 @@
 
 from nfv_torchrl.losses.a2c import A2C
 from nfv_torchrl.losses.across_requests import AcrossRequests
-from nfv_torchrl.losses.base import MaskedLoss, RequestLoss, greedy_actor, has_target
+from nfv_torchrl.losses.actors import greedy_actor, q_network, scorer
+from nfv_torchrl.losses.base import MaskedLoss, RequestLoss, has_target
 from nfv_torchrl.losses.centred import CentredDQN
 from nfv_torchrl.losses.cql import CQL
 from nfv_torchrl.losses.differential import DifferentialDQN
@@ -37,4 +38,6 @@ __all__ = [
     "SlotDiscountDQN",
     "greedy_actor",
     "has_target",
+    "q_network",
+    "scorer",
 ]

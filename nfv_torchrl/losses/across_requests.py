@@ -11,7 +11,8 @@ from torch import Tensor
 from torchrl.objectives import distance_loss
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
+from nfv_torchrl.losses.actors import greedy_actor
+from nfv_torchrl.losses.base import MaskedLoss
 from nfv_torchrl.losses.masked import masked_argmax
 from nfv_torchrl.losses.n_step import last_of_sums, n_step_returns
 from nfv_torchrl.networks import NetworkFactory, Sizes

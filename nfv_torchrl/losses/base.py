@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictParams
 from torch import Tensor, nn
-from torchrl.data import Categorical
-from torchrl.modules import QValueActor
 from torchrl.objectives import LossModule
 
-from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks import QNetwork
 
 
@@ -38,23 +34,6 @@ class RequestLoss(Protocol):
 def has_target(loss: nn.Module) -> bool:
     """Whether a loss has target networks, which need an updater."""
     return any(name.startswith("target_") for name, _ in loss.named_children())
-
-
-def greedy_actor(network: nn.Module, actions: int, in_keys: Sequence[NestedKey] | None = None) -> QValueActor:
-    """The greedy policy of a Q-network over the valid actions, ``actions`` with reject.
-
-    The mask goes into the actor, hence also into the target's maximum; the action spec is categorical, because one-hot
-    actions turn into NaN where nothing is valid and pick several where values tie. ``in_keys``: those of the network
-    unless given.
-
-    Raises:
-        ScenarioError: the network has a memory, which single transitions cannot train.
-    """
-    if any(hasattr(module, "unroll") for module in network.modules()):
-        raise ScenarioError("a network with memory learns from sequences: use loss=recurrent_dqn, or preset=recurrent")
-    keys = list(network.in_keys if in_keys is None else in_keys)  # type: ignore[arg-type]
-    module = TensorDictModule(network, in_keys=keys, out_keys=["action_value"])
-    return QValueActor(module, spec=Categorical(actions), action_space="categorical", action_mask_key="action_mask")
 
 
 class Acting:

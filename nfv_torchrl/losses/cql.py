@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
+from nfv_torchrl.losses.actors import greedy_actor
+from nfv_torchrl.losses.base import MaskedLoss
 from nfv_torchrl.losses.masked import masked_argmax, masked_logsumexp
 from nfv_torchrl.networks import NetworkFactory, Sizes
 from nfv_torchrl.settings.values import NotNegative, Share, StopKey

@@ -5,7 +5,8 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from torchrl.objectives import DQNLoss
 
-from nfv_torchrl.losses.base import Acting, greedy_actor
+from nfv_torchrl.losses.actors import greedy_actor
+from nfv_torchrl.losses.base import Acting
 from nfv_torchrl.networks import NetworkFactory, Sizes
 from nfv_torchrl.settings.values import Distance, Share, StopKey
 

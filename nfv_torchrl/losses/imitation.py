@@ -6,7 +6,8 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
+from nfv_torchrl.losses.actors import greedy_actor
+from nfv_torchrl.losses.base import MaskedLoss
 from nfv_torchrl.losses.masked import masked_argmax, masked_log_softmax
 from nfv_torchrl.networks import NetworkFactory, Sizes
 from nfv_torchrl.settings.values import Positive

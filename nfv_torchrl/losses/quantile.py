@@ -9,7 +9,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.losses.base import MaskedLoss, greedy_actor
+from nfv_torchrl.losses.actors import greedy_actor
+from nfv_torchrl.losses.base import MaskedLoss
 from nfv_torchrl.losses.masked import masked_argmax
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
 from nfv_torchrl.settings.values import Positive, Quantiles, Share, StopKey

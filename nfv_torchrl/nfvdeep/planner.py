@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import scorer
+from nfv_torchrl.losses.actors import scorer
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.nfvdeep.drafts import COMPLETE, OPEN, Drafts, Options, begin_rows, choose_rows, make_drafts
 from nfv_torchrl.planners.base import Planner

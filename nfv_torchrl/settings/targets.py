@@ -23,7 +23,7 @@ OF_HYDRA = ("_target_", "_partial_", "_recursive_", "_convert_", "_args_")
 SPECIAL: dict[str, dict[str, Any]] = {
     "torchrl.objectives.utils.HardUpdate": {"value_network_update_interval": Count},
     "torchrl.objectives.utils.SoftUpdate": {"eps": Share, "tau": Share},
-    "nfv_torchrl.training.policies.load_policy": {"path": str | None},
+    "nfv_torchrl.methods.policy_file.load_policy": {"path": str | None},
 }
 """Arguments whose annotations do not say it: TorchRL's, and a path that is null where ``checkpoint`` names no file."""
 

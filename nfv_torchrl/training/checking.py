@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -12,8 +11,7 @@ from torch import Tensor
 from torchrl.checkpoint import GlobalRNGState
 
 from nfv_torchrl.errors import CheckpointError, one_line
-
-Place = str | os.PathLike[str]
+from nfv_torchrl.tensor_checks import Place, check_keys, check_like, check_mapping, kind_of
 
 FIXED = ("loss", "updater", "window", "progress")
 """Parts of a run whose state has the same keys, shapes and dtypes at any time."""
@@ -42,7 +40,7 @@ def check_parts(path: Place, content: Mapping[str, Any], state: Mapping[str, Any
         elif isinstance(part, GlobalRNGState):
             _check_random_numbers(path, name, content[name])
         elif not isinstance(content[name], Mapping):
-            raise CheckpointError(f"{path}: {name} is a {_kind(content[name])}, not the state of that part")
+            raise CheckpointError(f"{path}: {name} is a {kind_of(content[name])}, not the state of that part")
 
 
 def load_part(path: Place, name: str, part: Any, state: Any) -> None:
@@ -61,74 +59,15 @@ def load_part(path: Place, name: str, part: Any, state: Any) -> None:
         ) from error
 
 
-def check_like(path: Place, key: str, found: Any, own: Any) -> None:
-    """Refuse what differs from ``own`` in keys, kinds, shapes or dtypes, and tensors that are not finite.
-
-    Args:
-        path: the file, for messages.
-        key: where in it ``found`` is.
-        found: what the file holds.
-        own: what it is to replace: tensors, numbers, strings, and mappings and sequences of them.
-
-    Raises:
-        CheckpointError: names file and key.
-    """
-    if isinstance(own, Tensor):
-        check_tensor(path, key, found, own)
-    elif isinstance(own, Mapping):
-        _check_mapping(path, key, found)
-        check_keys(path, key, found, own)
-        for name, value in own.items():
-            check_like(path, f"{key}.{name}", found[name], value)
-    elif type(found) is not type(own):
-        raise CheckpointError(f"{path}: {key} is a {_kind(found)} where this run has a {_kind(own)}")
-    elif isinstance(own, list | tuple):
-        if len(found) != len(own):
-            raise CheckpointError(f"{path}: {key} has {len(found)} entries where this run has {len(own)}")
-        for place, value in enumerate(own):
-            check_like(path, f"{key}.{place}", found[place], value)
-
-
-def check_tensor(path: Place, key: str, found: Any, own: Tensor) -> None:
-    """Refuse all but a finite tensor of the shape and dtype of ``own``: torch would broadcast or round some others."""
-    if not isinstance(found, Tensor):
-        raise CheckpointError(f"{path}: {key} is a {_kind(found)}, not a tensor {list(own.shape)}")
-    if found.shape != own.shape:
-        raise CheckpointError(
-            f"{path}: {key} has the shape {list(found.shape)}, here it is {list(own.shape)}; give the settings of "
-            "network= and loss= that the file was trained with"
-        )
-    if found.dtype != own.dtype:
-        raise CheckpointError(f"{path}: {key} is of {found.dtype}, here it is of {own.dtype}; use another file")
-    if found.is_floating_point() and not bool(torch.isfinite(found).all()):
-        raise CheckpointError(f"{path}: {key} holds numbers that are not finite; use an older checkpoint or policy")
-
-
-def check_keys(path: Place, key: str, found: Mapping[str, Any], own: Iterable[str]) -> None:
-    """Refuse a mapping that lacks a key of ``own``, or has another."""
-    names = list(own)
-    lacking = [name for name in names if name not in found]
-    if lacking:
-        raise CheckpointError(f"{path}: {key} lacks {lacking[0]!r}; it belongs to another network, loss or recipe")
-    more = [name for name in found if name not in names]
-    if more:
-        raise CheckpointError(f"{path}: {key} has {more[0]!r}, which nothing here reads; it belongs to another network")
-
-
-def _check_mapping(path: Place, key: str, found: Any) -> None:
-    if not isinstance(found, Mapping):
-        raise CheckpointError(f"{path}: {key} is a {_kind(found)}, not a dict; use another file")
-
-
 def _check_optimizer(path: Place, key: str, found: Any, optimizer: torch.optim.Optimizer) -> None:
     """Settings as in this run, which come from its config; of each parameter what the optimizer keeps of it."""
     own = optimizer.state_dict()
-    _check_mapping(path, key, found)
+    check_mapping(path, key, found)
     check_keys(path, key, found, own)
     check_like(path, f"{key}.param_groups", found["param_groups"], own["param_groups"])
     if found["param_groups"] != own["param_groups"]:
-        raise CheckpointError(f"{path}: {key}.param_groups are not the settings of this run's {_kind(optimizer)}")
-    _check_mapping(path, f"{key}.state", found["state"])
+        raise CheckpointError(f"{path}: {key}.param_groups are not the settings of this run's {kind_of(optimizer)}")
+    check_mapping(path, f"{key}.state", found["state"])
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     one = _state_of_one_number(optimizer)
     for number, kept in found["state"].items():
@@ -151,7 +90,7 @@ def _state_of_one_number(optimizer: torch.optim.Optimizer) -> Mapping[str, Tenso
 
 def _check_random_numbers(path: Place, key: str, found: Any) -> None:
     """Its readers check all but where NumPy's generator is in its 624 words, which it would read from anywhere."""
-    _check_mapping(path, key, found)
+    check_mapping(path, key, found)
     numpy_state = found.get("numpy")
     if not isinstance(numpy_state, tuple | list) or len(numpy_state) != 5:
         raise CheckpointError(f"{path}: {key}.numpy is not the state of NumPy's random numbers")
@@ -161,7 +100,3 @@ def _check_random_numbers(path: Place, key: str, found: Any) -> None:
     numbers = type(place) is int and 0 <= place <= 624 and has_gauss in (0, 1) and isinstance(gauss, float)
     if name != "MT19937" or not inside or not numbers or not math.isfinite(gauss):
         raise CheckpointError(f"{path}: {key}.numpy is not the state of NumPy's random numbers")
-
-
-def _kind(value: Any) -> str:
-    return type(value).__name__

@@ -7,14 +7,13 @@ from typing import Any
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import Method, PlannerMethod
+from nfv_torchrl.losses import q_network
+from nfv_torchrl.methods import Method, PlannerMethod, acting_method
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.nfvdeep import NFVdeepEnv, NFVdeepPlanner
 from nfv_torchrl.rewards import Reward
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.acting import acting_method
-from nfv_torchrl.training.policies import q_network
 
 
 class HopDecisions:

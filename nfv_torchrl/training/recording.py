@@ -18,9 +18,9 @@ from torchrl.collectors import Collector
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import Method
 from nfv_torchrl.files import read_json, write_atomically
 from nfv_torchrl.folders import check_place, claim, refuse_foreign
+from nfv_torchrl.methods import Method
 from nfv_torchrl.training.recorded import Form, check_part, flat_keys, read_array
 
 MANIFEST = "dataset.json"

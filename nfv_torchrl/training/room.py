@@ -8,10 +8,10 @@ import torch
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError, one_line
+from nfv_torchrl.losses import q_network
 from nfv_torchrl.scenario.limits import check_memory
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.policies import q_network
 
 
 def check_environments(scenario: Scenario, num_envs: int, steps: int, key: str = "collector") -> None:

@@ -14,7 +14,6 @@ from torch import nn
 
 from nfv_torchrl import __version__
 from nfv_torchrl.errors import CheckpointError, ScenarioError, one_line
-from nfv_torchrl.evaluation.methods import Method
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.network_figure import draw_utilisation
 from nfv_torchrl.evaluation.runner import run_method
@@ -22,15 +21,15 @@ from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim, contents, holds_runs, lock_folder, refuse_foreign, remove_leftovers, set_aside
 from nfv_torchrl.inputs import file_digests, world_digests
 from nfv_torchrl.locks import Lock
+from nfv_torchrl.losses import q_network
+from nfv_torchrl.methods import Method, acting_method, policy_content, save_policy
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.values import list_of_seeds
-from nfv_torchrl.training.acting import acting_method
 from nfv_torchrl.training.checking import check_parts, load_part
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.finite import check_weights
 from nfv_torchrl.training.logger import RunLogger
-from nfv_torchrl.training.policies import policy_content, q_network, save_policy
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.setup import quote, run_folder
 

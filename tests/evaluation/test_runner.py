@@ -12,10 +12,10 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.audit import audit_run
-from nfv_torchrl.evaluation.methods import PlannerMethod, PolicyMethod, RandomMethod, methods_from_config
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import MOST_TOGETHER, run_method, scenario_for
+from nfv_torchrl.methods import PlannerMethod, PolicyMethod, RandomMethod, methods_from_config
 from nfv_torchrl.observations import RequestObservation
 from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner
 from nfv_torchrl.scenario import paper_scenario
@@ -261,7 +261,7 @@ def test_methods_come_from_their_targets():
     own = f"{__name__}.RejectAll"
     first, second = methods_from_config(
         {
-            "a": {"_target_": "nfv_torchrl.evaluation.methods.RandomMethod"},
+            "a": {"_target_": "nfv_torchrl.methods.RandomMethod"},
             "b": {"_target_": own, "_partial_": True},
         },
         scenario,

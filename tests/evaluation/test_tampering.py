@@ -22,10 +22,10 @@ from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.evaluation.audit import audit_folders
 from nfv_torchrl.evaluation.bound_check import recompute_bound
 from nfv_torchrl.evaluation.comparison import Comparison
-from nfv_torchrl.evaluation.methods import PlannerMethod, RandomMethod
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import write_summary
+from nfv_torchrl.methods import PlannerMethod, RandomMethod
 from nfv_torchrl.planners import MyopicPlanner
 from nfv_torchrl.scenario import paper_scenario
 

@@ -10,10 +10,10 @@ import torch
 
 from nfv_torchrl.bounds.bound import blind_bound
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evolution import CandidatePolicy, FixedNetwork, PricePolicy
 from nfv_torchrl.evolution.fitness import Arena
+from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, Sizes
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.planners import MyopicPlanner
@@ -82,7 +82,7 @@ def test_a_vector_sets_and_copies():
     before = policy.vector()
     other = policy.with_vector(before + 1)
     assert (policy.vector() == before).all() and (other.vector() == before + 1).all()
-    assert torch.equal(next(other.actor.parameters()), next(other.network.parameters()))
+    assert torch.equal(next(other.parameters()), next(other.network.parameters()))
 
 
 def test_another_network_is_refused():

@@ -23,16 +23,15 @@ from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.evaluation.audit import audit_folders
 from nfv_torchrl.evaluation.comparison import Comparison
-from nfv_torchrl.evaluation.methods import RandomMethod
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import write_summary
+from nfv_torchrl.methods import RandomMethod, load_policy
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.scenario.files import read_run_folder
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.checkpoint import load_file, save_file
-from nfv_torchrl.training.policies import load_policy
+from nfv_torchrl.tensor_files import load_file, save_file
 from nfv_torchrl.training.recording import Dataset
 
 TOPOLOGIES = ROOT / "nfv_torchrl" / "scenario" / "topologies"

@@ -11,11 +11,11 @@ from two_states import SIZES
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import PolicyMethod
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import DQN
 from nfv_torchrl.losses.ppo import PPO
 from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
+from nfv_torchrl.methods import PolicyMethod
 from nfv_torchrl.networks import MLPNetwork, QNetwork, Sizes
 from nfv_torchrl.networks.gru import GRUNetwork
 from nfv_torchrl.scenario.scenario import paper_scenario

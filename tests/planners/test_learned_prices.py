@@ -11,8 +11,8 @@ import torch
 from toy import DUO, toy_scenario, workload_of
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.runner import run_method, scenario_for
+from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.networks.prices import PriceHead, PriceNetwork
 from nfv_torchrl.planners import MyopicPlanner
 from nfv_torchrl.planners.learned_prices import (

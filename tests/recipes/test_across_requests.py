@@ -8,9 +8,10 @@ from inprocess import call
 from tiny import TINY_SCENARIO, TINY_TRAINING
 
 from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.methods import load_policy
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
-from nfv_torchrl.training.policies import load_policy
+from nfv_torchrl.tensor_files import load_file
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 
 PRESET = ["preset=across_requests", "network.hidden=[8]", *TINY_TRAINING, "eval.interval=6", "checkpoint.interval=3"]
 LOSSES = ["slot_discount", "centred", "differential"]

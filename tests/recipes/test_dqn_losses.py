@@ -12,12 +12,13 @@ from tiny import TINY_SCENARIO, TINY_TRAINING
 
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import DQN
+from nfv_torchrl.methods import load_policy
 from nfv_torchrl.networks import MLPNetwork, Sizes
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
-from nfv_torchrl.training.policies import load_policy
+from nfv_torchrl.tensor_files import load_file
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.run import evaluate_policy
 

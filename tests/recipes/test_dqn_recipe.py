@@ -13,7 +13,8 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tiny import TINY_SCENARIO, TINY_TRAINING, command, run, train
 
-from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
+from nfv_torchrl.tensor_files import load_file
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 
 
 def scalars(folder: Path) -> dict[str, dict[int, float]]:

@@ -14,10 +14,10 @@ from omegaconf import OmegaConf
 from tiny import ROOT, TINY_SCENARIO, run
 
 from nfv_torchrl.evaluation.records import RUN_FILES
+from nfv_torchrl.methods import policy_content, save_policy
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.policies import policy_content, save_policy
 
 ALL = "method=[random,random_feasible,greedy,tabu,myopic_optimal,priced,priced_admit]"
 LOADED = ["scenario.substrate.vm_capacity=[60,200]", "scenario.horizon=40", "scenario.warmup=3"]
@@ -159,7 +159,7 @@ def test_a_given_network_and_workload_are_run_once(tmp_path, capsys):
 
 
 def test_a_method_of_ones_own_needs_no_edit(capsys):
-    evaluate("method=greedy", "+method.mine._target_=nfv_torchrl.evaluation.methods.RandomMethod",
+    evaluate("method=greedy", "+method.mine._target_=nfv_torchrl.methods.RandomMethod",
              "+method.mine.name=mine", "scenario.horizon=5", "seeds=1", "reference=mine")  # fmt: skip
     printed = capsys.readouterr().out
     assert "Against mine" in printed

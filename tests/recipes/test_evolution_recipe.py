@@ -6,7 +6,8 @@ import pytest
 from inprocess import call
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
+from nfv_torchrl.tensor_files import load_file
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 
 SCENARIO = ["scenario.horizon=60", "scenario.mean_lifetime=50", "scenario.arrival_rate=6"]
 TINY = [

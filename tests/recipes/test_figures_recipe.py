@@ -181,7 +181,7 @@ def test_findings_of_the_audit_fail_the_cell(tmp_path, monkeypatch):
     monkeypatch.setattr(work, "audit_run", lambda folder: AuditReport(folder, ["a link is overfull"]))
     world = {"substrate": {"nodes": 5}, "horizon": 20, "arrival_rate": 2}
     greedy = {
-        "_target_": "nfv_torchrl.evaluation.methods.PlannerMethod",
+        "_target_": "nfv_torchrl.methods.PlannerMethod",
         "name": "greedy",
         "planner": {"_target_": "nfv_torchrl.planners.GreedyPlanner"},
     }

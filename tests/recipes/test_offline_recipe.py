@@ -8,7 +8,8 @@ import torch
 from inprocess import call
 from tiny import TINY_SCENARIO
 
-from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
+from nfv_torchrl.tensor_files import load_file
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 
 TINY = [
     *TINY_SCENARIO,

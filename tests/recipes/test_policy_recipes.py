@@ -9,11 +9,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tiny import TINY_SCENARIO
 
 from nfv_torchrl.errors import CheckpointError
-from nfv_torchrl.evaluation.methods import PlannerMethod
 from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.methods import PlannerMethod, load_policy
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
-from nfv_torchrl.training.policies import load_policy
+from nfv_torchrl.tensor_files import load_file
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 
 TINY = [
     *TINY_SCENARIO,

@@ -12,7 +12,8 @@ from tiny import TINY_SCENARIO
 
 from nfv_torchrl.folders import MARKER, claim
 from nfv_torchrl.scenario import paper_scenario
-from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file, save_file
+from nfv_torchrl.tensor_files import load_file, save_file
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 
 SMALL = [
     *TINY_SCENARIO,

@@ -13,10 +13,10 @@ from tiny import TINY_SCENARIO
 
 from nfv_torchrl.experiments import rows
 from nfv_torchrl.losses import DQN
+from nfv_torchrl.methods import policy_content, save_policy
 from nfv_torchrl.networks import CandidateNetwork, Sizes
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.policies import policy_content, save_policy
 
 AAR = {"greedy": [0.80, 0.80, 0.80], "checkpoint": [0.82, 0.83, 0.84]}
 COSTS = {"greedy": [4.0, math.nan, 6.0], "checkpoint": [6.0, 9.0, 9.0]}  # both accept the first and the third

@@ -11,7 +11,8 @@ from tiny import TINY_SCENARIO, TINY_TRAINING
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError, TrainingError
 from nfv_torchrl.scenario.scenario import paper_scenario
-from nfv_torchrl.training.checkpoint import CheckpointFolder, load_file
+from nfv_torchrl.tensor_files import load_file
+from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.finite import check_fitness, check_learning, check_weights
 from nfv_torchrl.training.progress import Progress
 

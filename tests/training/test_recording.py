@@ -12,7 +12,7 @@ import torch
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import RandomMethod
+from nfv_torchrl.methods import RandomMethod
 from nfv_torchrl.observations import CandidateObservation, RequestObservation
 from nfv_torchrl.observations.graph import GraphObservation
 from nfv_torchrl.scenario import paper_scenario

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from nfv_torchrl.evaluation.methods import PolicyMethod, scorer
 from nfv_torchrl.evaluation.runner import run_method
-from nfv_torchrl.losses import DQN, DiscreteSAC, QuantileDQN
+from nfv_torchrl.losses import DQN, DiscreteSAC, QuantileDQN, q_network, scorer
 from nfv_torchrl.losses.ppo import PPO
 from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
+from nfv_torchrl.methods import PolicyMethod
 from nfv_torchrl.networks import CandidateNetwork, DuelingNetwork, MLPNetwork, Sizes
 from nfv_torchrl.networks.gru import GRUNetwork
 from nfv_torchrl.observations import read_observation
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.policies import q_network
 
 SCENARIO = paper_scenario(nodes=6, seed=0, horizon=30, mean_lifetime=100.0, arrival_rate=12.0)
 

@@ -17,11 +17,12 @@ from tiny import ROOT
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import DQN
+from nfv_torchrl.methods import load_policy, load_weights, policy_content, save_policy
+from nfv_torchrl.methods.building import CLASSES
+from nfv_torchrl.methods.policy_file import FORMAT, KINDS
 from nfv_torchrl.networks import CandidateNetwork, Sizes
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.building import CLASSES
-from nfv_torchrl.training.policies import load_policy, load_weights, policy_content, save_policy
 
 SCENARIO = paper_scenario(nodes=4, seed=1, horizon=10, arrival_rate=2)
 PARTS = {
@@ -36,6 +37,16 @@ def honest() -> dict:
     loss = DQN(lambda sizes: CandidateNetwork(sizes, hidden=[4]), sizes, gamma=0.9)
     content = policy_content(loss, sizes, PARTS, SCENARIO, {"aar": 0.5})
     content["network"], content["loss"] = dict(PARTS["network"], hidden=[4]), dict(PARTS["loss"])
+    return content
+
+
+def of_kind(kind: str) -> dict:
+    """An honest file that says it is of another kind, with the parts of that kind."""
+    content = {**honest(), "kind": kind}
+    if kind == "planner":
+        content["planner"] = {"_target_": "nfv_torchrl.nfvdeep.NFVdeepPlanner"}
+    if kind == "evolved":
+        content |= {"loss": {}, "policy": {"_target_": "nfv_torchrl.methods.CandidatePolicy"}}
     return content
 
 
@@ -100,13 +111,13 @@ CALLS = {
     "positional": ("nfv_torchrl.files.Path.unlink", {"_args_": ["VICTIM"]}),
     "a public function": ("nfv_torchrl.files.write_atomically", {"path": "CANARY", "content": "x"}),
     "pickle by numpy": ("nfv_torchrl.scenario.config.np.load", {"file": "NPY", "allow_pickle": True}),
-    "pickle by torch": ("nfv_torchrl.training.checkpoint.torch.load", {"f": "PT", "weights_only": False}),
+    "pickle by torch": ("nfv_torchrl.tensor_files.torch.load", {"f": "PT", "weights_only": False}),
     "trust of its own": (
-        "nfv_torchrl.training.policies.load_policy",
+        "nfv_torchrl.methods.load_policy",
         {"path": "PT", "scenario": None, "trusted_packages": ["os", "builtins"]},
     ),
     "hydra again": (
-        "nfv_torchrl.evaluation.methods.instantiate",
+        "nfv_torchrl.methods.from_config.instantiate",
         {"config": {"_target_": "os.mkdir", "path": "CANARY"}},
     ),
     "a shell": ("os.system", {"command": "touch CANARY"}),
@@ -124,13 +135,13 @@ CALLS = {
 }
 
 
-@pytest.mark.parametrize("part", ["network", "loss", "planner"])
+@pytest.mark.parametrize("part", ["network", "loss", "planner", "policy"])
 @pytest.mark.parametrize("name", CALLS)
 def test_targets_outside_the_list(place, part, name):
     target, arguments = CALLS[name]
     if part == "planner" and name == "a class of another kind":
         target = "nfv_torchrl.planners.milp.MilpPlanner"
-    content = honest()
+    content = of_kind({"planner": "planner", "policy": "evolved"}.get(part, "actor"))
     content[part] = {"_target_": target, **fill(arguments, place)}
     save_policy(place / "best.pt", content)
     refused(place / "best.pt")
@@ -285,13 +296,20 @@ def test_every_entry_is_there_and_of_its_kind(place, key):
         refused(place / "best.pt", match=key)
 
 
+NFVDEEP = {"kind": "planner", "planner": {"_target_": "nfv_torchrl.nfvdeep.NFVdeepPlanner"}}
 PRICES = {"_target_": "nfv_torchrl.networks.prices.PriceNetwork", "price_unit": 1e12}  # prices could be infinite
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"format": 2}, "format"),
+        ({"format": 3}, "format"),
+        ({"format": 1}, "has 'kind'"),
+        ({"kind": "pickle"}, "kind is 'pickle'; it has to be one of actor, planner, evolved"),
+        ({"kind": "planner"}, "planner names no class"),
+        ({"kind": "evolved"}, "loss belongs to no policy of kind evolved"),
+        ({"policy": {"_target_": "nfv_torchrl.methods.CandidatePolicy"}}, "policy belongs to no policy of kind actor"),
+        ({"loss": {"_target_": "nfv_torchrl.methods.CandidatePolicy"}}, "none of this project's loss classes"),
         ({"format": torch.ones(2)}, "format"),
         ({"mask": "everything"}, "mask"),
         ({"mask": "${oc.env:HOME}"}, "mask"),
@@ -302,9 +320,17 @@ PRICES = {"_target_": "nfv_torchrl.networks.prices.PriceNetwork", "price_unit": 
         ({"scores": {1j: 2.0}}, "nested or named"),
         ({"weights": {}}, "no valid|lacks"),
         ({"more": 1}, "more"),
-        ({"planner": {"_target_": "nfv_torchrl.nfvdeep.NFVdeepPlanner", "route": "sea"}}, "planner.route"),
-        ({"planner": {"_target_": "nfv_torchrl.nfvdeep.NFVdeepPlanner", "actor": 3}}, "."),
-        ({"network": PRICES, "loss": {"_target_": "nfv_torchrl.evolution.PricePolicy"}}, "network.price_unit"),
+        ({**NFVDEEP, "planner": {**NFVDEEP["planner"], "route": "sea"}}, "planner.route"),
+        ({**NFVDEEP, "planner": {**NFVDEEP["planner"], "actor": 3}}, "."),
+        (
+            {
+                "kind": "evolved",
+                "loss": {},
+                "network": PRICES,
+                "policy": {"_target_": "nfv_torchrl.methods.PricePolicy"},
+            },
+            "network.price_unit",
+        ),
         ({"loss": {"_target_": "nfv_torchrl.losses.QuantileDQN", "quantiles": 2**40}}, "larger than its weights"),
     ],
 )
@@ -370,14 +396,16 @@ def test_a_tensor_that_claims_more_bytes_than_the_archive_has(place):
 )
 def test_policies_of_the_docs_name_classes_of_the_list(path):
     content = torch.load(path, weights_only=True)
-    assert content["network"]["_target_"] in CLASSES["network"] and content["loss"]["_target_"] in CLASSES["loss"]
+    assert content["format"] == FORMAT
+    assert all(content[part]["_target_"] in CLASSES[part] for part in KINDS[content["kind"]])
     load_policy(path, SCENARIO)
 
 
 def test_every_class_of_the_configs_is_in_the_list():
     """So that whatever the recipes train can be loaded again."""
     configs = ROOT / "recipes" / "config"
-    for part, groups in {"network": ["network"], "loss": ["loss", "pg_loss", "policy"]}.items():
+    groups_of = {"network": ["network"], "loss": ["loss", "pg_loss"], "policy": ["policy"]}
+    for part, groups in groups_of.items():
         for group in groups:
             for path in (configs / group).glob("*.yaml"):
                 lines = [line for line in path.read_text().splitlines() if "_target_:" in line]

@@ -3,14 +3,13 @@
 import pytest
 import torch
 
-from nfv_torchrl.evaluation.methods import PolicyMethod
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import greedy_actor
+from nfv_torchrl.methods import CompiledCandidates, PolicyMethod, acting_method
 from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, Sizes
 from nfv_torchrl.observations import read_observation
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.training.acting import CompiledCandidates, acting_method
 
 SCENARIO = paper_scenario(
     nodes=5, seed=1, horizon=100, arrival_rate=25, mean_lifetime=1000, mask="feasible", admission_control=True

@@ -1,7 +1,6 @@
 """What evolution can shape: a network, the method that acts by it, and its compiled play of whole horizons.
 
-Each takes the place of a loss in a policy file: it holds the network's weights and has an ``actor``, so that what
-evolution found is loaded and evaluated like any other policy.
+They are learned without a loss, so a policy file names them by themselves.
 """
 
 from __future__ import annotations
@@ -15,9 +14,11 @@ import torch
 from torch import nn
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import Method, PlannerMethod, PolicyMethod
-from nfv_torchrl.evolution.candidate_play import CandidatePlay
-from nfv_torchrl.losses.base import greedy_actor
+from nfv_torchrl.losses.actors import greedy_actor
+from nfv_torchrl.methods.base import Method
+from nfv_torchrl.methods.candidate_play import CandidatePlay
+from nfv_torchrl.methods.planned import PlannerMethod
+from nfv_torchrl.methods.policy import PolicyMethod
 from nfv_torchrl.networks import CandidateNetwork, NetworkFactory, Sizes
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.planners.learned_prices import LearnedPrices
@@ -42,15 +43,13 @@ class Player(Protocol):
 class Evolvable(nn.Module):
     """A policy whose parameters evolution sets, as one vector float32 [P].
 
+    A subclass is made as ``MyPolicy(network, sizes, **hyperparameters)`` with a factory of the network.
+
     Attributes:
-        network: holds the parameters.
-        actor: the network, or the TorchRL actor around it.
-        one_hot: whether its observation has the one-hot request features.
+        network: holds the parameters; its ``any_size`` says whether it fits any scenario.
     """
 
     network: nn.Module
-    actor: nn.Module
-    one_hot = False
 
     def vector(self) -> np.ndarray:
         """All parameters, float32 [P]."""
@@ -76,7 +75,7 @@ class Evolvable(nn.Module):
         raise NotImplementedError
 
     def method(self, name: str) -> Method:
-        """It as a method of evaluations."""
+        """The method by which it acts in an evaluation; ``name`` is for tables and folders."""
         raise NotImplementedError
 
 
@@ -93,7 +92,6 @@ class PricePolicy(Evolvable):
     def __init__(self, network: Callable[[], PriceNetwork], sizes: Sizes | None = None) -> None:
         super().__init__()
         self.network = network()
-        self.__dict__["actor"] = self.network
 
     def player(self) -> Player:
         """See ``Evolvable``."""
@@ -127,7 +125,7 @@ class CandidatePolicy(Evolvable):
         if not isinstance(made, CandidateNetwork):
             raise ScenarioError(f"policy: {type(made).__name__} is no CandidateNetwork; set network=candidate")
         self.network = made
-        self.__dict__["actor"] = greedy_actor(self.network, sizes.actions)
+        self._actions = sizes.actions
 
     def player(self) -> Player:
         """See ``Evolvable``."""
@@ -140,9 +138,9 @@ class CandidatePolicy(Evolvable):
     def method(self, name: str) -> PolicyMethod:
         """See ``Evolvable``."""
         return PolicyMethod(
-            self.actor,
+            greedy_actor(self.network, self._actions),
             self.network.observations(),
-            one_hot=self.one_hot,
+            one_hot=False,
             name=name,
             mask="feasible",
             decides_admission=True,

@@ -9,8 +9,9 @@ import numpy as np
 from torchrl.modules import QValueActor
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.methods import Method, PolicyMethod
-from nfv_torchrl.evolution.candidate_play import CandidatePlay
+from nfv_torchrl.methods.base import Method
+from nfv_torchrl.methods.candidate_play import CandidatePlay
+from nfv_torchrl.methods.policy import PolicyMethod
 from nfv_torchrl.networks import CandidateNetwork, QNetwork
 from nfv_torchrl.simulator import Simulator
 

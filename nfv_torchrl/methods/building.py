@@ -19,7 +19,7 @@ from torch.overrides import TorchFunctionMode
 
 from nfv_torchrl import losses, networks
 from nfv_torchrl.errors import CheckpointError, one_line
-from nfv_torchrl.evolution.policies import CandidatePolicy, PricePolicy
+from nfv_torchrl.methods.evolved import CandidatePolicy, Evolvable, PricePolicy
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
 
@@ -54,14 +54,18 @@ CLASSES: Mapping[str, Mapping[str, type]] = {
         losses.RecurrentDQN,
         losses.Reinforce,
         losses.SlotDiscountDQN,
-        CandidatePolicy,
-        PricePolicy,
     ),
     "planner": _by_name(NFVdeepPlanner),
+    "policy": {
+        **_by_name(CandidatePolicy, PricePolicy),
+        "nfv_torchrl.evolution.CandidatePolicy": CandidatePolicy,
+        "nfv_torchrl.evolution.PricePolicy": PricePolicy,
+    },
 }
-"""By part of a policy file, the classes it may name; the planner is one that asks the policy."""
+"""By part of a policy file, the classes it may name; the planner is one that asks the policy, which evolution may have
+shaped (``policy``)."""
 
-BASES: Mapping[str, type] = {"network": nn.Module, "loss": nn.Module, "planner": object}
+BASES: Mapping[str, type] = {"network": nn.Module, "loss": nn.Module, "planner": object, "policy": Evolvable}
 """By part, what a class of a trusted package has to be."""
 
 MOST_VALUES = 1000
@@ -76,7 +80,7 @@ def factory(path: Place, part: str, config: Mapping[str, Any], trusted_packages:
 
     Args:
         path: the file, for messages.
-        part: ``network``, ``loss`` or ``planner``.
+        part: ``network``, ``loss``, ``planner`` or ``policy``.
         config: that part: ``_target_`` and arguments; a network's may have ``_partial_: true``.
         trusted_packages: packages of the user's own whose classes may be named too.
 
@@ -107,7 +111,7 @@ def building(path: Place, weights: Mapping[str, torch.Tensor]) -> Iterator[None]
     except CheckpointError:
         raise
     except Exception as error:  # a stranger's arguments can make a constructor raise anything
-        raise CheckpointError(f"{path} holds no valid network, loss or planner ({one_line(error)})") from error
+        raise CheckpointError(f"{path} holds no valid network, loss, planner or policy ({one_line(error)})") from error
 
 
 class _Allowance(TorchFunctionMode):

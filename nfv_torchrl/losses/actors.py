@@ -1,0 +1,54 @@
+"""Actors: how a network's outputs become actions, and how to find what is inside an actor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from tensordict import NestedKey
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torch import nn
+from torchrl.data import Categorical
+from torchrl.modules import MaskedCategorical, ProbabilisticActor, QValueActor
+
+from nfv_torchrl.errors import CheckpointError, ScenarioError
+from nfv_torchrl.networks import QNetwork
+
+
+def greedy_actor(network: nn.Module, actions: int, in_keys: Sequence[NestedKey] | None = None) -> QValueActor:
+    """The greedy policy of a Q-network over the valid actions, ``actions`` with reject.
+
+    The mask goes into the actor, hence also into the target's maximum; the action spec is categorical, because one-hot
+    actions turn into NaN where nothing is valid and pick several where values tie. ``in_keys``: those of the network
+    unless given.
+
+    Raises:
+        ScenarioError: the network has a memory, which single transitions cannot train.
+    """
+    if any(hasattr(module, "unroll") for module in network.modules()):
+        raise ScenarioError("a network with memory learns from sequences: use loss=recurrent_dqn, or preset=recurrent")
+    keys = list(network.in_keys if in_keys is None else in_keys)  # type: ignore[arg-type]
+    module = TensorDictModule(network, in_keys=keys, out_keys=["action_value"])
+    return QValueActor(module, spec=Categorical(actions), action_space="categorical", action_mask_key="action_mask")
+
+
+def scorer(actor: TensorDictModuleBase) -> TensorDictModule | None:
+    """The module of an actor whose scores decide: its greedy action is the valid one of the highest score.
+
+    None for an actor of another kind, or with a memory.
+    """
+    stochastic = isinstance(actor, ProbabilisticActor) and actor[-1].distribution_class is MaskedCategorical
+    if not (stochastic or isinstance(actor, QValueActor)):
+        return None
+    scores = actor[0]
+    return scores if type(scores) is TensorDictModule and len(scores.out_keys) == 1 else None
+
+
+def q_network(loss: Any) -> QNetwork:
+    """The Q-network inside a loss's actor, or what takes its place there and says whether it fits any size."""
+    modules = list(loss.actor.modules())
+    # The network itself first: TensorDict's modules pass on the attributes of what they hold.
+    for module in (*(each for each in modules if isinstance(each, QNetwork)), *modules):
+        if isinstance(module, QNetwork) or hasattr(module, "any_size"):
+            return module
+    raise CheckpointError("the loss's actor holds no QNetwork; derive the network from nfv_torchrl.networks.QNetwork")

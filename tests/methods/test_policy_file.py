@@ -1,0 +1,93 @@
+"""A policy that is saved and loaded decides as before, whatever kind it is; files of the first format are read, too."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import torch
+
+from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.losses import DQN, Reinforce, q_network
+from nfv_torchrl.methods import (
+    CandidatePolicy,
+    Method,
+    PlannerMethod,
+    PricePolicy,
+    acting_method,
+    load_policy,
+    policy_content,
+    save_policy,
+)
+from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, Sizes
+from nfv_torchrl.networks.prices import PriceNetwork
+from nfv_torchrl.nfvdeep import NFVdeepPlanner
+from nfv_torchrl.scenario import paper_scenario
+from nfv_torchrl.simulator import Simulator
+
+SCENARIO = paper_scenario(nodes=5, seed=1, horizon=40, arrival_rate=20, mean_lifetime=200, mask="feasible")
+SIZES = Sizes.of(Simulator(SCENARIO, 1))
+CANDIDATES = {"_target_": "nfv_torchrl.networks.CandidateNetwork", "_partial_": True, "hidden": [8]}
+MLP = {"_target_": "nfv_torchrl.networks.MLPNetwork", "_partial_": True, "hidden": [8]}
+PRICES = {"_target_": "nfv_torchrl.networks.prices.PriceNetwork", "_partial_": True, "hidden": 2}
+
+
+def dqn() -> tuple[Method, dict]:
+    loss = DQN(functools.partial(CandidateNetwork, hidden=[8]), SIZES)
+    config = {"network": CANDIDATES, "loss": {"_target_": "nfv_torchrl.losses.DQN"}}
+    method = acting_method(loss.actor, q_network(loss), one_hot=False)
+    return method, policy_content(loss, SIZES, config, SCENARIO, {"aar": 0.5})
+
+
+def nfvdeep() -> tuple[Method, dict]:
+    planner = NFVdeepPlanner(route="cost")
+    sizes = planner.sizes(Simulator(SCENARIO, 1))
+    loss = Reinforce(functools.partial(MLPNetwork, hidden=[8]), sizes)
+    planned = {"_target_": "nfv_torchrl.nfvdeep.NFVdeepPlanner", "route": "cost"}
+    config = {"network": MLP, "loss": {"_target_": "nfv_torchrl.losses.Reinforce"}, "env": {"planner": planned}}
+    method = PlannerMethod(planner.follow(loss.actor), name="nfvdeep")
+    return method, policy_content(loss, sizes, config, SCENARIO, {})
+
+
+def candidates() -> tuple[Method, dict]:
+    policy = CandidatePolicy(functools.partial(CandidateNetwork, hidden=[8]), SIZES)
+    config = {"network": CANDIDATES, "policy": {"_target_": "nfv_torchrl.evolution.CandidatePolicy"}}
+    return policy.method("evolved"), policy_content(policy, SIZES, config, policy.settings(SCENARIO), {})
+
+
+def prices() -> tuple[Method, dict]:
+    policy = PricePolicy(functools.partial(PriceNetwork, hidden=2))
+    policy.set_vector(np.random.default_rng(0).normal(0, 0.5, policy.vector().size))
+    config = {"network": PRICES, "policy": {"_target_": "nfv_torchrl.evolution.PricePolicy"}}
+    return policy.method("evolved"), policy_content(policy, SIZES, config, policy.settings(SCENARIO), {})
+
+
+KINDS = [(dqn, "actor"), (nfvdeep, "planner"), (candidates, "evolved"), (prices, "evolved")]
+
+
+@pytest.mark.parametrize(("make", "kind"), KINDS)
+def test_it_decides_as_before_it_was_saved(make, kind, tmp_path):
+    torch.manual_seed(0)
+    method, content = make()
+    assert content["kind"] == kind
+    save_policy(tmp_path / "best.pt", content)
+    assert_same_decisions(method, load_policy(tmp_path / "best.pt", SCENARIO))
+
+
+@pytest.mark.parametrize(("make", "kind"), KINDS)
+def test_the_first_format_is_read(make, kind, tmp_path):
+    """It kept an evolved policy under ``loss`` and did not say what a policy is."""
+    torch.manual_seed(0)
+    method, content = make()
+    former = {**content, "format": 1, "loss": content["loss"] or content["policy"]}
+    del former["kind"], former["policy"]
+    save_policy(tmp_path / "best.pt", former)
+    assert_same_decisions(method, load_policy(tmp_path / "best.pt", SCENARIO))
+
+
+def assert_same_decisions(method: Method, other: Method) -> None:
+    (one,), (two,) = run_method(SCENARIO, method, [0]), run_method(SCENARIO, other, [0])
+    assert one.accepted.any()
+    for name in ("reason", "cost", "step_offsets", "step_node", "step_vm"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
