@@ -69,9 +69,11 @@ def check_keys(path: Place, key: str, found: Mapping[str, Any], own: Iterable[st
 
 
 def check_mapping(path: Place, key: str, found: Any) -> None:
+    """Refuse what is no mapping."""
     if not isinstance(found, Mapping):
         raise CheckpointError(f"{path}: {key} is a {kind_of(found)}, not a dict; use another file")
 
 
 def kind_of(value: Any) -> str:
+    """What messages call the type of ``value``."""
     return type(value).__name__

@@ -20,7 +20,9 @@ from nfv_torchrl.folders import claim
 from nfv_torchrl.settings.recipes import RECIPES, check_recipe
 
 ROOT = Path(__file__).parents[1]
-NOT_FOR_USERS = {"cli", "files", "folders", "inputs", "locks", "state_checks"}
+NOT_FOR_USERS = {
+    "archive", "cli", "files", "folders", "inputs", "locks", "state_checks", "tensor_checks", "tensor_files"
+}  # fmt: skip
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",

@@ -26,7 +26,7 @@ from nfv_torchrl.nfvdeep import NFVdeepPlanner
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator import Simulator
 
-SCENARIO = paper_scenario(nodes=5, seed=1, horizon=40, arrival_rate=20, mean_lifetime=200, mask="feasible")
+SCENARIO = paper_scenario(nodes=5, seed=1, horizon=20, arrival_rate=20, mean_lifetime=200, mask="feasible")
 SIZES = Sizes.of(Simulator(SCENARIO, 1))
 CANDIDATES = {"_target_": "nfv_torchrl.networks.CandidateNetwork", "_partial_": True, "hidden": [8]}
 MLP = {"_target_": "nfv_torchrl.networks.MLPNetwork", "_partial_": True, "hidden": [8]}
@@ -88,6 +88,6 @@ def test_the_first_format_is_read(make, kind, tmp_path):
 
 def assert_same_decisions(method: Method, other: Method) -> None:
     (one,), (two,) = run_method(SCENARIO, method, [0]), run_method(SCENARIO, other, [0])
-    assert one.accepted.any()
+    assert len(set(one.step_node.tolist())) > 1
     for name in ("reason", "cost", "step_offsets", "step_node", "step_vm"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
