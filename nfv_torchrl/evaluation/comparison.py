@@ -18,6 +18,7 @@ from nfv_torchrl.evaluation.statistics import (
     ratio_of_means,
     relative_difference,
 )
+from nfv_torchrl.scenario.request_file import Columns
 from nfv_torchrl.scenario.scenario import Scenario
 
 SMALLEST_GAP = 1e-3
@@ -126,7 +127,7 @@ def _check_same_requests(first: RunRecord, second: RunRecord) -> None:
             f"{first.method} and {second.method} met the networks of scenario seeds {first.scenario.seed} and "
             f"{second.scenario.seed} under workload seed {first.workload_seed}; compare methods on the same network"
         )
-    for name in ("slot", "service", "ingress", "egress", "lifetime"):
+    for name in Columns._fields:
         if not np.array_equal(getattr(first.workload, name), getattr(second.workload, name)):
             raise ScenarioError(
                 f"{first.method} and {second.method} met different requests under seed {first.workload_seed} "

@@ -13,7 +13,7 @@ import numpy as np
 from nfv_torchrl.codec import count_actions, decode_action, link_resource, vm_resource
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
-from nfv_torchrl.simulator.state import OUTCOME, Arrivals, Ledger, Running, Walk, World
+from nfv_torchrl.simulator.state import OUTCOME, REQUEST, Arrivals, Ledger, Running, Walk, World
 from nfv_torchrl.simulator.steps import Step
 from nfv_torchrl.simulator.tables import Tables
 from nfv_torchrl.simulator.view import SHARE_LEVELS
@@ -116,7 +116,7 @@ def _check_request(world: World) -> None:
     require(np.isfinite(e["running_cost"]), "env.running_cost", "is no finite number")
     row = np.flatnonzero(live)
     request = e["cursor"][row]
-    for name in ("service", "ingress", "egress", "lifetime", "service_share"):
+    for name in REQUEST:
         expected = e[name].copy()
         expected[row] = getattr(arrivals, name)[row, request]
         require(e[name] == expected, f"env.{name}", "is not that of the request at the cursor")

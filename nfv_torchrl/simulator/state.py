@@ -86,6 +86,10 @@ class Arrivals(NamedTuple):
     event_up: np.ndarray  # bool [B, E]
 
 
+REQUEST = tuple(name for name in Arrivals._fields if name != "slot" and name in (ENV_DTYPE.names or ()))
+"""What an environment copies of the request in hand; its ``slot`` is the current one."""
+
+
 class Running(NamedTuple):
     """Accepted requests that still run: one record each, chained per departure slot, with a chain of reservations."""
 
