@@ -16,7 +16,7 @@ import sys
 from tqdm import tqdm
 
 from nfv_torchrl.evaluation.audit import audit_folders
-from nfv_torchrl.evaluation.bound_check import recompute_bound
+from nfv_torchrl.evaluation.bounds import recompute_bound
 from nfv_torchrl.training.cli import clear_errors
 
 NOT_RECOMPUTED = "Not recomputed: decision_seconds (wall time), only that decisions_per_second and the tables fit it."

@@ -22,9 +22,9 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
-from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.errors import AuditError, ScenarioError
 from nfv_torchrl.evaluation.audit import audit_folders, find_runs
+from nfv_torchrl.evaluation.bounds import aar_bounds
 from nfv_torchrl.evaluation.comparison import Comparison
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
@@ -124,16 +124,11 @@ def output_folder(output: str | None, methods: Sequence[Method], seeds: Sequence
 
 
 def add_bounds(comparison: Comparison, worlds: Sequence[Scenario], seeds: Sequence[int]) -> None:
-    """Upper bounds on AAR: knowing all requests in advance, and not knowing lifetimes where methods do not see them.
-
-    ``worlds``: the scenario of each of the ``seeds``.
-    """
+    """Upper bounds on AAR; ``worlds``: the scenario of each of the ``seeds``."""
     runs = list(zip(worlds, seeds, strict=True))
     for scenario, seed in tqdm(runs, desc="bounds", unit="seed", disable=None):
-        workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
-        comparison.add_bound("hindsight", seed, hindsight_bound(scenario, workload, timeline).aar)
-        if scenario.workload_path is None and not scenario.observe_lifetime:
-            comparison.add_bound("blind", seed, blind_bound(scenario, workload, timeline).aar)
+        for name, aar in aar_bounds(scenario, seed).items():
+            comparison.add_bound(name, seed, aar)
 
 
 def audit(folder: Path) -> None:

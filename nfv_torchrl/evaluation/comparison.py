@@ -13,17 +13,16 @@ from nfv_torchrl.evaluation.metrics import compute_metrics, paired_cost
 from nfv_torchrl.evaluation.records import RunRecord
 from nfv_torchrl.evaluation.statistics import (
     Interval,
+    gap_closed,
     mean_interval,
     paired_difference,
-    ratio_of_means,
     relative_difference,
 )
 from nfv_torchrl.scenario.request_file import Columns
 from nfv_torchrl.scenario.scenario import Scenario
 
-SMALLEST_GAP = 1e-3
-"""Bound and `myopic_optimal` closer than this in AAR leave no gap of which a share could be closed."""
 MYOPIC = "myopic_optimal"
+"""Where the gap to a bound begins."""
 
 
 @dataclass(eq=False)
@@ -109,11 +108,9 @@ class Comparison:
             return None
         start, mine, limit = self.metrics[MYOPIC], self.metrics[method], self.bounds[bound]
         seeds = [seed for seed in limit if seed in start and seed in mine]
-        gained = [mine[seed]["aar"] - start[seed]["aar"] for seed in seeds]
-        gap = [limit[seed] - start[seed]["aar"] for seed in seeds]
-        if not seeds or np.mean(gap) < SMALLEST_GAP:
-            return None
-        return ratio_of_means(gained, gap)
+        return gap_closed(
+            [mine[seed]["aar"] for seed in seeds], [start[seed]["aar"] for seed in seeds], [limit[s] for s in seeds]
+        )
 
     def _both(self, method: str, reference: str, metric: str) -> tuple[Sequence[float], Sequence[float]]:
         mine, other = self.metrics[method], self.metrics[reference]

@@ -1,61 +1,172 @@
-"""The metrics of one run, all from its ``nfv_torchrl.evaluation.records.RunRecord``.
+"""The metrics of one run, all from its :class:`~nfv_torchrl.evaluation.records.RunRecord`.
 
-Each is one number under a flat key; a part of a whole follows a slash (``aar/voip``, ``rejected/delay``). A metric that
-does not exist in the run (the mean delay when nothing was accepted) is NaN, in files ``null``.
+Each is one function, registered with its row of the table of all quantities (`nfv_torchrl.vocabulary`), from where it
+reaches files, tables, TensorBoard and docs. A metric that does not exist in the run (the mean delay when nothing was
+accepted) is NaN, in files ``null``.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
 from nfv_torchrl.evaluation.records import RunRecord
+from nfv_torchrl.evaluation.statistics import cost_ratio
 from nfv_torchrl.scenario.units import to_ledger
 from nfv_torchrl.simulator.reasons import REASON_NAMES
+from nfv_torchrl.vocabulary import TABLE, Quantity, add
+
+Value = float | Mapping[str, float]
+"""A number, or one for each part of a whole, by its name."""
+FUNCTIONS: dict[str, Callable[[RunRecord], Value]] = {}
+"""By name of the row."""
+
+
+def metric(row: Quantity) -> Callable[[Callable[[RunRecord], Value]], Callable[[RunRecord], Value]]:
+    """Make a function of a run a metric.
+
+        @metric(Quantity("most_hops", "links", "links used by the longest accepted walk", head="most hops"))
+        def most_hops(record: RunRecord) -> int:
+            return int(record.hops[accepted(record)].max(initial=0))
+
+    Where the row's name has a part (`aar/SERVICE`) the function returns a number for each. The audit needs its own
+    arithmetic for it (`nfv_torchrl.evaluation.audit.recompute`), and says so where it has none.
+
+    Raises:
+        ValueError: another row has that name.
+    """
+
+    def register(function: Callable[[RunRecord], Value]) -> Callable[[RunRecord], Value]:
+        FUNCTIONS[add(row).name] = function
+        return function
+
+    return register
 
 
 def compute_metrics(record: RunRecord) -> dict[str, float]:
-    """All metrics of a run. With ``scenario.warmup`` = w, the first w slots and the requests arriving in them are left
-    out; a request that arrived before and still runs counts in what is measured slot by slot.
-
-    Returns:
-        ``rho``: offered load. ``arrived``, ``accepted``: requests. ``aar``, ``aar/SERVICE``: accepted / arrived.
-        ``anuc``: mean over slots of the cost of all running requests ($). ``cost_per_accepted``(``/SERVICE``): $.
-        ``rejected/REASON``: share of arrived. ``mean_hops``: links used, ``mean_delay_ms``: both of accepted requests.
-        ``vm_utilisation``, ``link_utilisation``: used / total capacity of the network, mean over slots, and
-        ``..._peak``: its largest value. ``interrupted``: share of accepted requests cut short by a failure,
-        ``lost_service_time``: the slots (s) that these still had to run, in all. ``decision_seconds``,
-        ``decisions_per_second``: wall time of the decisions, of the whole run.
-    """
-    counted = record.workload.slot >= record.scenario.warmup
-    accepted = record.accepted & counted
-    arrived_count, accepted_count = int(counted.sum()), int(accepted.sum())
-    metrics: dict[str, float] = {
-        "rho": float(record.scenario.offered_load()),
-        "arrived": arrived_count,
-        "accepted": accepted_count,
-        "aar": _ratio(accepted_count, arrived_count),
-    }
-    services = [service.name for service in record.scenario.catalogue.types]
-    of_service = [record.workload.service == k for k in range(len(services))]
-    for name, mine in zip(services, of_service, strict=True):
-        metrics[f"aar/{name}"] = _ratio(int((accepted & mine).sum()), int((counted & mine).sum()))
-    metrics["anuc"] = float(per_slot_cost(record)[record.scenario.warmup :].mean())
-    metrics["cost_per_accepted"] = _mean(record.cost[accepted])
-    for name, mine in zip(services, of_service, strict=True):
-        metrics[f"cost_per_accepted/{name}"] = _mean(record.cost[accepted & mine])
-    for code, name in enumerate(REASON_NAMES):
-        metrics[f"rejected/{name}"] = _ratio(int((counted & (record.reason == code)).sum()), arrived_count)
-    metrics["mean_hops"] = _mean(record.hops[accepted])
-    metrics["mean_delay_ms"] = _mean(record.delay_ms[accepted])
-    metrics |= _utilisation(record)
-    cut = accepted & (record.interrupted_at >= 0)
-    metrics["interrupted"] = _ratio(int(cut.sum()), accepted_count)
-    metrics["lost_service_time"] = int((record.workload.departure - record.interrupted_at)[cut].sum())
-    metrics["decision_seconds"] = float(record.seconds)
-    metrics["decisions_per_second"] = record.decisions_per_second
+    """All metrics of a run by name, in the order of the table. With ``scenario.warmup`` = w, the first w slots and the
+    requests arriving in them are left out; a request that arrived before and still runs counts in what is measured slot
+    by slot."""
+    metrics: dict[str, float] = {}
+    for row in TABLE.values():
+        if row.name in FUNCTIONS:
+            value = FUNCTIONS[row.name](record)
+            parts = value if isinstance(value, Mapping) else {"": value}
+            metrics |= {row.key(part): number for part, number in parts.items()}
     return metrics
+
+
+@metric(TABLE["rho"])
+def rho(record: RunRecord) -> float:
+    return float(record.scenario.offered_load())
+
+
+@metric(TABLE["arrived"])
+def arrived(record: RunRecord) -> int:
+    return int(counted(record).sum())
+
+
+@metric(TABLE["accepted"])
+def accepted_requests(record: RunRecord) -> int:
+    return int(accepted(record).sum())
+
+
+@metric(TABLE["aar"])
+def aar(record: RunRecord) -> float:
+    return _share(accepted(record), counted(record))
+
+
+@metric(TABLE["aar/SERVICE"])
+def aar_by_service(record: RunRecord) -> dict[str, float]:
+    return {name: _share(accepted(record) & mine, counted(record) & mine) for name, mine in _services(record)}
+
+
+@metric(TABLE["anuc"])
+def anuc(record: RunRecord) -> float:
+    return float(per_slot_cost(record)[record.scenario.warmup :].mean())
+
+
+@metric(TABLE["cost_per_accepted"])
+def cost_per_accepted(record: RunRecord) -> float:
+    return mean(record.cost[accepted(record)])
+
+
+@metric(TABLE["cost_per_accepted/SERVICE"])
+def cost_by_service(record: RunRecord) -> dict[str, float]:
+    return {name: mean(record.cost[accepted(record) & mine]) for name, mine in _services(record)}
+
+
+@metric(TABLE["rejected/REASON"])
+def rejected(record: RunRecord) -> dict[str, float]:
+    came = counted(record)
+    return {name: _share(came & (record.reason == code), came) for code, name in enumerate(REASON_NAMES)}
+
+
+@metric(TABLE["mean_hops"])
+def mean_hops(record: RunRecord) -> float:
+    return mean(record.hops[accepted(record)])
+
+
+@metric(TABLE["mean_delay_ms"])
+def mean_delay_ms(record: RunRecord) -> float:
+    return mean(record.delay_ms[accepted(record)])
+
+
+@metric(TABLE["vm_utilisation"])
+def vm_utilisation(record: RunRecord) -> float:
+    return float(_vm_use(record).mean())
+
+
+@metric(TABLE["vm_utilisation_peak"])
+def vm_utilisation_peak(record: RunRecord) -> float:
+    return float(_vm_use(record).max())
+
+
+@metric(TABLE["link_utilisation"])
+def link_utilisation(record: RunRecord) -> float:
+    return float(_link_use(record).mean())
+
+
+@metric(TABLE["link_utilisation_peak"])
+def link_utilisation_peak(record: RunRecord) -> float:
+    return float(_link_use(record).max())
+
+
+@metric(TABLE["interrupted"])
+def interrupted(record: RunRecord) -> float:
+    return _share(_cut_short(record), accepted(record))
+
+
+@metric(TABLE["lost_service_time"])
+def lost_service_time(record: RunRecord) -> int:
+    return int((record.workload.departure - record.interrupted_at)[_cut_short(record)].sum())
+
+
+@metric(TABLE["decision_seconds"])
+def decision_seconds(record: RunRecord) -> float:
+    return float(record.seconds)
+
+
+@metric(TABLE["decisions_per_second"])
+def decisions_per_second(record: RunRecord) -> float:
+    return record.decisions_per_second
+
+
+def counted(record: RunRecord) -> np.ndarray:
+    """The requests that count: those that arrived after the warm-up, bool [R]."""
+    return record.workload.slot >= record.scenario.warmup
+
+
+def accepted(record: RunRecord) -> np.ndarray:
+    """Those of them that were accepted, bool [R]."""
+    return record.accepted & counted(record)
+
+
+def counted_cost(record: RunRecord) -> np.ndarray:
+    """Cost of every request, float64 [R], $, NaN where it was rejected or does not count."""
+    return np.where(accepted(record), record.cost, np.nan)
 
 
 def per_slot_cost(record: RunRecord) -> np.ndarray:
@@ -83,33 +194,43 @@ def running_total(record: RunRecord, amount: np.ndarray) -> np.ndarray:
 
 
 def paired_cost(record: RunRecord, reference: RunRecord) -> float:
-    """Cost of ``record`` over that of ``reference``, summed over the requests that both accept; NaN if there are none.
-
-    The fair comparison of cost: a method that drops the costly requests gains nothing by it.
-    """
-    both = record.accepted & reference.accepted & (record.workload.slot >= record.scenario.warmup)
-    return _ratio(float(record.cost[both].sum()), float(reference.cost[both].sum()))
+    """Cost of ``record`` over that of ``reference`` for the requests that both accept, see `cost_ratio`."""
+    return cost_ratio(counted_cost(record), counted_cost(reference))
 
 
-def _utilisation(record: RunRecord) -> dict[str, float]:
-    substrate, catalogue = record.scenario.substrate, record.scenario.catalogue
-    # An accepted request places its whole chain, so its load is that of its service.
-    load = to_ledger(catalogue.load).sum(axis=1)[record.workload.service]
-    rate = to_ledger(catalogue.rate)[record.workload.service] * record.hops
-    result = {}
-    for name, amount, capacity in (
-        ("vm_utilisation", load, substrate.vm_capacity),
-        ("link_utilisation", rate, substrate.link_capacity),
-    ):
-        used = running_total(record, amount)[record.scenario.warmup :] / int(to_ledger(capacity).sum())
-        result[name] = float(used.mean())
-        result[f"{name}_peak"] = float(used.max())
-    return result
-
-
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else math.nan
-
-
-def _mean(values: np.ndarray) -> float:
+def mean(values: np.ndarray) -> float:
+    """The mean of ``values`` [n], NaN if there are none."""
     return float(values.mean()) if len(values) else math.nan
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> float:
+    """How much of the requests ``whole``, bool [R], the requests ``part`` are; NaN of none."""
+    below = int(whole.sum())
+    return int(part.sum()) / below if below else math.nan
+
+
+def _services(record: RunRecord) -> Iterator[tuple[str, np.ndarray]]:
+    """Name of each service type and which requests are of it, bool [R]."""
+    for place, service in enumerate(record.scenario.catalogue.types):
+        yield service.name, record.workload.service == place
+
+
+def _cut_short(record: RunRecord) -> np.ndarray:
+    return accepted(record) & (record.interrupted_at >= 0)
+
+
+def _vm_use(record: RunRecord) -> np.ndarray:
+    """Used share of all VM capacity in every counted slot, [T - warmup]."""
+    # An accepted request places its whole chain, so its load is that of its service.
+    load = to_ledger(record.scenario.catalogue.load).sum(axis=1)[record.workload.service]
+    return _used(record, load, record.scenario.substrate.vm_capacity)
+
+
+def _link_use(record: RunRecord) -> np.ndarray:
+    """The same of all links."""
+    rate = to_ledger(record.scenario.catalogue.rate)[record.workload.service] * record.hops
+    return _used(record, rate, record.scenario.substrate.link_capacity)
+
+
+def _used(record: RunRecord, amount: np.ndarray, capacity: np.ndarray) -> np.ndarray:
+    return running_total(record, amount)[record.scenario.warmup :] / int(to_ledger(capacity).sum())

@@ -14,6 +14,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 CONFIDENCE = 0.95
+SMALLEST_GAP = 1e-3
+"""A bound and `myopic_optimal` closer than this in AAR leave no gap of which a share could be closed."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,29 @@ def ratio_of_means(
         return Interval(x / y, math.nan, math.nan, n)
     root = math.sqrt(max(middle * middle - leading * last, 0.0))
     return Interval(x / y, float((middle - root) / leading), float((middle + root) / leading), n)
+
+
+def cost_ratio(costs: np.ndarray, reference: np.ndarray) -> float:
+    """Paired cost: ``costs`` over ``reference``, summed over the requests that both accept; NaN if there are none.
+
+    The fair comparison of cost: a method that drops the costly requests gains nothing by it.
+
+    Args:
+        costs: what every request cost, float [R], NaN where it was not accepted.
+        reference: the same of another method.
+    """
+    both = np.isfinite(costs) & np.isfinite(reference)
+    below = float(reference[both].sum(dtype=np.float64))
+    return float(costs[both].sum(dtype=np.float64)) / below if below else math.nan
+
+
+def gap_closed(values: Sequence[float], start: Sequence[float], bound: Sequence[float]) -> Interval | None:
+    """How much of the way from ``start`` to ``bound`` the ``values`` go, over the same seeds, [n] each.
+
+    A ratio of means over seeds; None where there is no gap to close, or no seed.
+    """
+    gained, gap = np.array(values) - np.array(start), np.array(bound) - np.array(start)
+    return None if not len(gap) or np.mean(gap) < SMALLEST_GAP else ratio_of_means(gained, gap)
 
 
 def _quantile(n: int, confidence: float) -> float:

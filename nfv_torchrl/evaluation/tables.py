@@ -14,12 +14,9 @@ from nfv_torchrl.evaluation.comparison import Comparison
 from nfv_torchrl.evaluation.manifest import write_manifest
 from nfv_torchrl.evaluation.statistics import Interval
 from nfv_torchrl.files import write_atomically
+from nfv_torchrl.vocabulary import PER_SEED_COLUMNS, SUMMARY_COLUMNS, Form, Quantity, find
 
 UNDEFINED = "–"
-SUMMARY_COLUMNS = (
-    "method", "metric", "mean", "ci_low", "ci_high", "n", "reference", "scenario", "colocation", "observe_lifetime",
-)  # fmt: skip
-PER_SEED_COLUMNS = ("method", "seed", "metric", "value", "scenario_seed", "rho")
 
 
 @dataclass(frozen=True)
@@ -100,53 +97,48 @@ def _seeds(comparison: Comparison) -> str:
 
 def method_table(comparison: Comparison) -> Table:
     """One row a method (and a bound): mean ± half width of the 95 % confidence interval of the main metrics."""
-    services = [key for key in comparison.metric_names() if key.startswith("aar/")]
-    shown: list[tuple[str, str, Callable[[float], str]]] = [
-        ("AAR", "aar", _share),
-        *((f"AAR {key.removeprefix('aar/')}", key, _share) for key in services),
-        ("ANUC $", "anuc", _amount),
-        ("cost/accepted $", "cost_per_accepted", _amount),
-        ("hops", "mean_hops", _amount),
-        ("delay ms", "mean_delay_ms", _amount),
-        ("VM use", "vm_utilisation", _share),
-        ("link use", "link_utilisation", _share),
-    ]
-    # The runs of a batch share their decision time, so its spread over seeds says nothing.
+    shown = [(key, row) for key, row in _printed(comparison) if not row.details]
     rows = [
-        (
-            method,
-            *(_cell(comparison.interval(method, key), form) for _, key, form in shown),
-            _amount(comparison.interval(method, "decisions_per_second").mean),
-        )
-        for method in comparison.methods
+        (method, *(_metric_cell(comparison, method, key, row) for key, row in shown)) for method in comparison.methods
     ]
-    blank = [UNDEFINED] * len(shown)
-    rows += [(f"bound: {name}", _cell(comparison.bound(name), _share), *blank) for name in comparison.bounds]
+    for name in comparison.bounds:
+        bound = _cell(comparison.bound(name), _share)
+        rows.append((f"bound: {name}", *(bound if key == "aar" else UNDEFINED for key, _ in shown)))
     over = "scenario seeds (networks)" if len(comparison.scenario_seeds) > 1 else "workload seeds"
     title = f"Mean and 95 % confidence interval over {over}"
-    return Table(title, ("method", *(head for head, _, _ in shown), "decisions/s"), tuple(rows))
+    return Table(title, ("method", *(_head(key, row) for key, row in shown)), tuple(rows))
 
 
 def detail_table(comparison: Comparison) -> Table:
     """One row a method: why requests were rejected, what each service cost, and what failures cut short, if any."""
-    named = [
-        ("rejected/", "", _percent_of),
-        ("cost_per_accepted/", "cost $ ", _amount),
-        ("interrupted", "interrupted", _percent_of),
-        ("lost_service_time", "lost s", _amount),
+    shown = [
+        (key, row)
+        for key, row in _printed(comparison)
+        if row.details and any(comparison.interval(method, key).mean > 0 for method in comparison.methods)
     ]
-    shown = []
-    for key in comparison.metric_names():
-        for prefix, head, form in named:
-            values = [comparison.interval(method, key).mean for method in comparison.methods]
-            if key.startswith(prefix) and any(value > 0 for value in values):
-                shown.append((head + key.removeprefix(prefix), key, form))
     rows = [
-        (method, *(_cell(comparison.interval(method, key), form) for _, key, form in shown))
-        for method in comparison.methods
+        (method, *(_metric_cell(comparison, method, key, row) for key, row in shown)) for method in comparison.methods
     ]
     title = "Rejections by reason (share of arrived), cost per accepted request of each service"
-    return Table(title, ("method", *(head for head, _, _ in shown)), tuple(rows))
+    return Table(title, ("method", *(_head(key, row) for key, row in shown)), tuple(rows))
+
+
+def _printed(comparison: Comparison) -> Iterator[tuple[str, Quantity]]:
+    """The metrics that have a column, and their rows in the table of all quantities."""
+    for key in comparison.metric_names():
+        found = find(key)
+        if found is not None and found[0].head is not None:
+            yield key, found[0]
+
+
+def _head(key: str, row: Quantity) -> str:
+    return f"{row.head}{key.removeprefix(row.key())}" if row.part else str(row.head)
+
+
+def _metric_cell(comparison: Comparison, method: str, key: str, row: Quantity) -> str:
+    interval, form = comparison.interval(method, key), FORMS[row.form]
+    # The runs of a batch share their decision time, so its spread over seeds says nothing.
+    return form(interval.mean) if row.measured else _cell(interval, form)
 
 
 def paired_table(comparison: Comparison, reference: str) -> Table:
@@ -293,3 +285,6 @@ def _pad(line: Sequence[str], widths: Sequence[int]) -> str:
     first, *others = (cell.ljust(width) if k == 0 else cell.rjust(width)
                       for k, (cell, width) in enumerate(zip(line, widths, strict=True)))  # fmt: skip
     return "  ".join([first, *others]).rstrip()
+
+
+FORMS: dict[Form, Callable[[float], str]] = {"share": _share, "percent": _percent_of, "amount": _amount}

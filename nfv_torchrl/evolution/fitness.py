@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from statistics import fmean
@@ -10,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
+from nfv_torchrl.evaluation.statistics import cost_ratio
 from nfv_torchrl.evolution.tasks import Task
 from nfv_torchrl.methods.evolved import Evolvable, Player
 from nfv_torchrl.networks.prices import PriceNetwork
@@ -80,8 +82,8 @@ class Arena:
     def _score(self, policy: Evolvable, task: Task, baseline: Baseline) -> Score:
         settled = Task(policy.settings(task.scenario), task.workload, task.timeline)
         costs = self._costs(policy.player(), settled)
-        both = np.isfinite(costs) & np.isfinite(baseline.costs)
-        paired = float(costs[both].sum() / baseline.costs[both].sum()) if both.any() else 1.0
+        paired = cost_ratio(costs, baseline.costs)
+        paired = 1.0 if math.isnan(paired) else paired
         aar, myopic = float(np.isfinite(costs).mean()), float(np.isfinite(baseline.costs).mean())
         gain = (aar - myopic) / (baseline.gap + self.spread)
         fitness = gain - self.cost_weight * max(0.0, paired - 1.0) - self.saving_weight * (paired - 1.0)

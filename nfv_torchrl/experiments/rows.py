@@ -6,11 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from nfv_torchrl.evaluation.comparison import MYOPIC, SMALLEST_GAP
+from nfv_torchrl.evaluation.comparison import MYOPIC
 from nfv_torchrl.evaluation.figures import tidy_row
-from nfv_torchrl.evaluation.statistics import Interval, mean_interval, ratio_of_means, relative_difference
+from nfv_torchrl.evaluation.statistics import Interval, cost_ratio, gap_closed, mean_interval, relative_difference
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.study import AGENT, Study, World, show
 from nfv_torchrl.experiments.work import read_costs
@@ -62,8 +60,7 @@ def paired_rows(
 ) -> Rows:
     """DQN-AR (called ``series``) against every other method on the same requests.
 
-    ``aar`` and ``anuc``: relative difference (0.07: 7 % above the reference); ``paired_cost``: cost over that of the
-    reference for the requests that both accept.
+    Relative differences of AAR and ANUC (0.07: 7 % above the reference), and ``paired_cost``.
     """
     if AGENT not in cells:
         return []
@@ -72,7 +69,10 @@ def paired_rows(
         if name == AGENT:
             continue
         result = store.read(cell)
-        compared = {metric: relative_difference(values(agent, metric), values(result, metric)) for metric in PAIRED}
+        compared = {
+            f"{metric}_relative_difference": relative_difference(values(agent, metric), values(result, metric))
+            for metric in PAIRED
+        }
         compared["paired_cost"] = paired_cost(store, cells[AGENT], cell)
         for metric, interval in compared.items():
             more = {"metric": metric, "reference": show(name), **setting(world, study.rho(world))}
@@ -83,12 +83,7 @@ def paired_rows(
 def paired_cost(store: CellStore, cell: Cell, reference: Cell) -> Interval:
     """Mean over seeds of cost / cost of the reference, over the requests that both accept."""
     mine, other = read_costs(cell, store), read_costs(reference, store)
-    ratios = []
-    for seed, costs in mine.items():
-        both = np.isfinite(costs) & np.isfinite(other[seed])
-        total = float(other[seed][both].sum(dtype=np.float64))
-        ratios.append(float(costs[both].sum(dtype=np.float64)) / total if total else math.nan)
-    return mean_interval(ratios)
+    return mean_interval([cost_ratio(costs, other[seed]) for seed, costs in mine.items()])
 
 
 def gap_rows(
@@ -100,15 +95,15 @@ def gap_rows(
     """
     if MYOPIC not in cells:
         return []
-    start, rows = np.array(values(store.read(cells[MYOPIC]), "aar")), []
+    start, rows = values(store.read(cells[MYOPIC]), "aar"), []
     result = store.read(bound)
     for kind, by_seed in result["bounds"].items():
-        gap = np.array(list(by_seed.values())) - start
-        for name, cell in cells.items() if gap.mean() >= SMALLEST_GAP else ():
-            gained = np.array(values(store.read(cell), "aar")) - start
-            more = {"metric": "gap_closed", "reference": f"bound: {kind}", **setting(world, result["rho"])}
-            series = agent if agent is not None and name == AGENT else show(name)
-            rows.append(tidy_row(series, x, ratio_of_means(gained, gap), **more))
+        more = {"metric": "gap_closed", "reference": f"bound: {kind}", **setting(world, result["rho"])}
+        for name, cell in cells.items():
+            closed = gap_closed(values(store.read(cell), "aar"), start, list(by_seed.values()))
+            if closed is not None:
+                series = agent if agent is not None and name == AGENT else show(name)
+                rows.append(tidy_row(series, x, closed, **more))
     return rows
 
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.audit import audit_run
-from nfv_torchrl.evaluation.metrics import compute_metrics
+from nfv_torchrl.evaluation.bounds import aar_bounds
+from nfv_torchrl.evaluation.metrics import accepted, compute_metrics, counted_cost
 from nfv_torchrl.evaluation.records import RunRecord, write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.experiments.cells import Cell, CellStore
@@ -67,16 +67,13 @@ def evaluate(cell: Cell, store: CellStore) -> Result:
 
 
 def bound(cell: Cell, store: CellStore) -> Result:
-    """Upper bounds on AAR of every seed; ``blind`` only where methods do not see lifetimes."""
+    """Upper bounds on AAR of every seed."""
     scenarios, seeds = _scenarios(cell.spec), cell.spec["seeds"]
-    blind = scenarios[0].workload_path is None and not scenarios[0].observe_lifetime
-    bounds: dict[str, dict[str, float]] = {kind: {} for kind in ("hindsight", "blind")[: 1 + blind]}
+    bounds: dict[str, dict[str, float]] = {}
     worlds = scenarios if len(scenarios) > 1 else scenarios * len(seeds)
     for scenario, seed in zip(worlds, seeds, strict=True):
-        workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
-        bounds["hindsight"][str(seed)] = hindsight_bound(scenario, workload, timeline).aar
-        if blind:
-            bounds["blind"][str(seed)] = blind_bound(scenario, workload, timeline).aar
+        for kind, aar in aar_bounds(scenario, seed).items():
+            bounds.setdefault(kind, {})[str(seed)] = aar
     return {"rho": fmean(scenario.offered_load() for scenario in scenarios), "bounds": bounds}
 
 
@@ -159,7 +156,7 @@ def _audited(record: RunRecord) -> dict[str, float]:
 
 
 def _walks(record: RunRecord) -> dict[str, float]:
-    mine = record.accepted & (record.workload.slot >= record.scenario.warmup)
+    mine = accepted(record)
     steps = np.diff(record.step_offsets)[mine]
     tables = build_tables([record.scenario.substrate], record.scenario.catalogue)
     reference = cost_scale(tables, np.zeros(1, np.int64)).step[0]
@@ -173,12 +170,7 @@ def _walks(record: RunRecord) -> dict[str, float]:
 
 def _write_costs(path: Path, records: list[RunRecord]) -> None:
     """What every request cost ($, NaN if rejected or in the warm-up), to compare methods request by request."""
-    costs = {
-        str(record.workload_seed): np.where(
-            record.accepted & (record.workload.slot >= record.scenario.warmup), record.cost, np.nan
-        ).astype(np.float32)
-        for record in records
-    }
+    costs = {str(record.workload_seed): counted_cost(record).astype(np.float32) for record in records}
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.partial.npz")
     np.savez_compressed(partial, **costs)  # type: ignore[arg-type]

@@ -7,6 +7,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from nfv_torchrl.simulator import REASON_NAMES
+from nfv_torchrl.vocabulary import TABLE
 
 _OF_REQUESTS = ("accepted", "request_cost", "request_delay", "request_hops")
 _OF_SLOTS = ("slots_closed", "slot_cost", "slot_vm_use", "slot_link_use")
@@ -54,27 +55,27 @@ class TrainingWindow:
         self.reasons += ended["reason"][~taken].long().bincount(minlength=len(REASON_NAMES))
 
     def metrics(self) -> dict[str, float]:
-        """AAR, ANUC and the rest over the window, by TensorBoard tag; what has no data yet is left out."""
-        accepted, cost, delay, hops, slots, slot_cost, vm_use, link_use = self.sums.tolist()
-        arrived = float(self.arrived.sum())
+        """The ratios that the table of all quantities names, by TensorBoard tag; what has no data yet is left out."""
         values: dict[str, float] = {}
-        if arrived:
-            values["train/aar"] = accepted / arrived
-            values["train/interrupted"] = float(self.interrupted) / arrived
-            shares = (self.reasons / arrived).tolist()
-            values |= {f"rejections/{name}": share for name, share in zip(REASON_NAMES, shares, strict=True)}
-        for name, came, taken in zip(self.services, self.arrived.tolist(), self.accepted.tolist(), strict=True):
-            if came:
-                values[f"aar_by_service/{name}"] = taken / came
-        if accepted:
-            values["train/cost_per_accepted"] = cost / accepted
-            values["train/mean_delay_ms"] = delay / accepted
-            values["train/mean_hops"] = hops / accepted
-        if slots:
-            values["train/anuc"] = slot_cost / slots
-            values["utilisation/vm"] = vm_use / slots
-            values["utilisation/link"] = link_use / slots
+        for row in TABLE.values():
+            if row.train is not None:
+                above, below = row.train
+                for part, totals in self._totals(row.part).items():
+                    if totals[below]:
+                        values[f"train/{row.key(part)}"] = totals[above] / totals[below]
         return values
+
+    def _totals(self, parts: str) -> dict[str, dict[str, float]]:
+        """The totals whose ratios the table names, by part: of every SERVICE or REASON, or of all requests ("")."""
+        whole = dict(zip((*_OF_REQUESTS, *_OF_SLOTS), self.sums.tolist(), strict=True))
+        whole |= {"arrived": float(self.arrived.sum()), "interrupted": float(self.interrupted)}
+        if parts == "SERVICE":
+            counts = zip(self.services, self.arrived.tolist(), self.accepted.tolist(), strict=True)
+            return {name: {"arrived": came, "accepted": taken} for name, came, taken in counts}
+        if parts == "REASON":
+            counts = zip(REASON_NAMES, self.reasons.tolist(), strict=True)
+            return {name: whole | {"rejected": count} for name, count in counts}
+        return {"": whole}
 
     def state_dict(self) -> dict[str, Tensor]:
         """The sums."""

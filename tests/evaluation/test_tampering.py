@@ -20,7 +20,7 @@ from handmade import read_decisions, write_decisions
 
 from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
 from nfv_torchrl.evaluation.audit import audit_folders
-from nfv_torchrl.evaluation.bound_check import recompute_bound
+from nfv_torchrl.evaluation.bounds import recompute_bound
 from nfv_torchrl.evaluation.comparison import Comparison
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method

@@ -15,6 +15,7 @@ from tiny import TINY_SCENARIO, TINY_TRAINING, command, run, train
 
 from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
+from nfv_torchrl.vocabulary import without_row
 
 
 def scalars(folder: Path) -> dict[str, dict[int, float]]:
@@ -59,9 +60,11 @@ def test_a_run_leaves_everything_that_is_promised(whole_run):
     assert "tensorboard --logdir" in printed and "best.pt" in printed
     seen = scalars(folder)
     for tag in ("train/aar", "train/anuc", "train/cost_per_accepted", "train/epsilon", "train/loss", "train/chosen_q",
-                "train/gradient_norm", "train/mean_hops", "train/mean_delay_ms", "aar_by_service/video",
-                "rejections/vm_capacity", "utilisation/vm", "utilisation/link", "eval/aar"):  # fmt: skip
+                "train/gradient_norm", "train/mean_hops", "train/mean_delay_ms", "train/aar/video",
+                "train/rejected/vm_capacity", "train/vm_utilisation", "train/link_utilisation", "eval/aar/video",
+                "eval/aar"):  # fmt: skip
         assert seen[tag], tag
+    assert not without_row(seen)
     assert sorted(folder.parent.iterdir()) == [folder]  # no litter beside it
 
 

@@ -8,6 +8,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
+from nfv_torchrl.vocabulary import without_row
 
 SCENARIO = ["scenario.horizon=60", "scenario.mean_lifetime=50", "scenario.arrival_rate=6"]
 TINY = [
@@ -43,6 +44,7 @@ def test_it_evolves_resumes_to_the_bit_and_is_evaluated(overrides, tmp_path, cap
     events.Reload()
     tags = set(events.Tags()["scalars"])
     assert {"train/fitness", "train/sigma", "eval/fitness", "eval/aar_gain", "eval/paired_cost"} <= tags
+    assert not without_row(tags)
 
     capsys.readouterr()
     size = "scenario.substrate.nodes=5"  # random networks had other sizes too

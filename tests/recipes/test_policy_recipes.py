@@ -14,6 +14,7 @@ from nfv_torchrl.methods import PlannerMethod, load_policy
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
+from nfv_torchrl.vocabulary import without_row
 
 TINY = [
     *TINY_SCENARIO,
@@ -64,6 +65,7 @@ def test_it_trains_resumes_to_the_bit_and_loads(name, tmp_path):
     events.Reload()
     tags = events.Tags()["scalars"]
     assert {"train/aar", "eval/aar", LOGGED.get(name, "train/gradient_norm")} <= set(tags)
+    assert not without_row(tags)
 
 
 def test_a_file_of_nfvdeep_is_refused_on_another_network(tmp_path):

@@ -1,44 +1,177 @@
-"""The metrics of a replayed run, computed anew and compared with what metrics.json states."""
+"""The metrics of a replayed run, computed anew and compared with what metrics.json states.
+
+Names come from the table of all quantities; the arithmetic is the audit's own, one function a metric.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 from nfv_torchrl.evaluation.audit.files import RunFiles, is_number
 from nfv_torchrl.evaluation.audit.rejections import REASONS
 from nfv_torchrl.evaluation.audit.replay import Answer, Replayed
+from nfv_torchrl.vocabulary import TABLE, find, in_place
 
 TOLERANCE = 1e-7
 """Relative difference that a stated metric may have from the recomputed one."""
-MEASURED = ("decision_seconds", "decisions_per_second")
+SECONDS, SPEED = "decision_seconds", "decisions_per_second"
 """Wall times: the files cannot tell whether these are true, only whether they fit each other."""
 
 
+class Decided(NamedTuple):
+    """A replayed run, and of its answers those that count: after the warm-up; of these, the accepted ones."""
+
+    files: RunFiles
+    run: Replayed
+    arrived: list[Answer]
+    accepted: list[Answer]
+
+
+Value = float | None | Mapping[str, float | None]
+"""A number, None where it does not exist; or one for each part, by its name."""
+OWN: dict[str, Callable[[Decided], Value]] = {}
+"""The audit's arithmetic by name of the row."""
+
+
+def recomputes(name: str) -> Callable[[Callable[[Decided], Value]], Callable[[Decided], Value]]:
+    """Make a function the audit's own arithmetic for the row ``name`` of the table."""
+
+    def register(function: Callable[[Decided], Value]) -> Callable[[Decided], Value]:
+        OWN[TABLE[name].name] = function
+        return function
+
+    return register
+
+
+def is_measured(key: str) -> bool:
+    """Whether a metric is a wall time, which is taken as the run states it."""
+    found = find(key)
+    return found is not None and found[0].measured
+
+
 def recompute_metrics(files: RunFiles, run: Replayed) -> dict[str, float | None]:
-    """All metrics that follow from the decisions; None where one does not exist."""
+    """All metrics that follow from the decisions; None where one does not exist. Reports a metric it cannot compute."""
     warmup = files.scenario["warmup"]
     arrived = [answer for answer in run.answers if answer.request.slot >= warmup]
-    accepted = [answer for answer in arrived if answer.accepted]
-    metrics: dict[str, float | None] = {
-        "rho": offered_load(files),
-        "arrived": len(arrived),
-        "accepted": len(accepted),
-        "aar": _share(len(accepted), len(arrived)),
-        "anuc": _mean_cost_per_slot(files, run),
-        "cost_per_accepted": _mean([answer.walk.cost for answer in accepted]),
-        "mean_hops": _mean([answer.walk.hops for answer in accepted]),
-        "mean_delay_ms": _mean([answer.walk.delay for answer in accepted]),
-    }
-    for service in files.services:
-        mine = [answer for answer in accepted if answer.request.service == service]
-        asked = sum(answer.request.service == service for answer in arrived)
-        metrics[f"aar/{service}"] = _share(len(mine), asked)
-        metrics[f"cost_per_accepted/{service}"] = _mean([answer.walk.cost for answer in mine])
-    for reason in REASONS:
-        metrics[f"rejected/{reason}"] = _share(sum(answer.reason == reason for answer in arrived), len(arrived))
-    metrics |= _utilisation(files, run) | _interruptions(accepted)
+    decided = Decided(files, run, arrived, [answer for answer in arrived if answer.accepted])
+    metrics: dict[str, float | None] = {}
+    for row in in_place("files"):
+        if row.name in OWN:
+            value = OWN[row.name](decided)
+            parts = value if isinstance(value, Mapping) else {"": value}
+            metrics |= {row.key(part): number for part, number in parts.items()}
+        elif not row.measured:
+            files.problems.add(
+                f"metrics.json: {row.name} cannot be checked, the audit has no arithmetic of its own for it"
+            )
     return metrics
+
+
+@recomputes("rho")
+def _rho(decided: Decided) -> float:
+    return offered_load(decided.files)
+
+
+@recomputes("arrived")
+def _arrived(decided: Decided) -> int:
+    return len(decided.arrived)
+
+
+@recomputes("accepted")
+def _accepted(decided: Decided) -> int:
+    return len(decided.accepted)
+
+
+@recomputes("aar")
+def _aar(decided: Decided) -> float | None:
+    return _share(len(decided.accepted), len(decided.arrived))
+
+
+@recomputes("aar/SERVICE")
+def _aar_by_service(decided: Decided) -> dict[str, float | None]:
+    shares = {}
+    for service in decided.files.services:
+        mine = sum(answer.request.service == service for answer in decided.accepted)
+        shares[service] = _share(mine, sum(answer.request.service == service for answer in decided.arrived))
+    return shares
+
+
+@recomputes("anuc")
+def _anuc(decided: Decided) -> float:
+    """Each request costs its phi in every slot that it runs; summed by request, not slot by slot."""
+    first, horizon = decided.files.scenario["warmup"], decided.files.scenario["horizon"]
+    spent = (
+        answer.walk.cost * max(0, min(answer.end, horizon) - max(answer.request.slot, first))
+        for answer in decided.run.answers
+        if answer.accepted
+    )
+    return math.fsum(spent) / (horizon - first)
+
+
+@recomputes("cost_per_accepted")
+def _cost(decided: Decided) -> float | None:
+    return _mean([answer.walk.cost for answer in decided.accepted])
+
+
+@recomputes("cost_per_accepted/SERVICE")
+def _cost_by_service(decided: Decided) -> dict[str, float | None]:
+    return {
+        service: _mean([answer.walk.cost for answer in decided.accepted if answer.request.service == service])
+        for service in decided.files.services
+    }
+
+
+@recomputes("rejected/REASON")
+def _rejected(decided: Decided) -> dict[str, float | None]:
+    reasons = [answer.reason for answer in decided.arrived]
+    return {reason: _share(reasons.count(reason), len(reasons)) for reason in REASONS}
+
+
+@recomputes("mean_hops")
+def _hops(decided: Decided) -> float | None:
+    return _mean([answer.walk.hops for answer in decided.accepted])
+
+
+@recomputes("mean_delay_ms")
+def _delay(decided: Decided) -> float | None:
+    return _mean([answer.walk.delay for answer in decided.accepted])
+
+
+@recomputes("vm_utilisation")
+def _vm_use(decided: Decided) -> float:
+    used, total = _vms(decided)
+    return sum(used) / total / len(used)
+
+
+@recomputes("vm_utilisation_peak")
+def _vm_peak(decided: Decided) -> float:
+    used, total = _vms(decided)
+    return max(used) / total
+
+
+@recomputes("link_utilisation")
+def _link_use(decided: Decided) -> float:
+    used, total = _links(decided)
+    return sum(used) / total / len(used)
+
+
+@recomputes("link_utilisation_peak")
+def _link_peak(decided: Decided) -> float:
+    used, total = _links(decided)
+    return max(used) / total
+
+
+@recomputes("interrupted")
+def _interrupted(decided: Decided) -> float | None:
+    return _share(sum(answer.interrupted_at is not None for answer in decided.accepted), len(decided.accepted))
+
+
+@recomputes("lost_service_time")
+def _lost(decided: Decided) -> int:
+    cut = [answer for answer in decided.accepted if answer.interrupted_at is not None]
+    return sum(answer.request.departure - answer.end for answer in cut)
 
 
 def offered_load(files: RunFiles) -> float:
@@ -60,7 +193,7 @@ def offered_load(files: RunFiles) -> float:
 def compare(files: RunFiles, recomputed: dict[str, float | None]) -> None:
     """Report every metric of metrics.json that is missing, unknown, or not what the decisions give."""
     stated, problems = files.metrics, files.problems
-    for key in sorted(stated.keys() - recomputed.keys() - set(MEASURED)):
+    for key in sorted(key for key in stated.keys() - recomputed.keys() if not is_measured(key)):
         problems.add(f"metrics.json: unknown metric {key}")
     for key, value in recomputed.items():
         if key not in stated:
@@ -71,12 +204,12 @@ def compare(files: RunFiles, recomputed: dict[str, float | None]) -> None:
 
 
 def _check_speed(files: RunFiles) -> None:
-    seconds: Any = files.metrics.get(MEASURED[0])
-    speed: Any = files.metrics.get(MEASURED[1])
+    seconds: Any = files.metrics.get(SECONDS)
+    speed: Any = files.metrics.get(SPEED)
     if not is_number(seconds) or seconds < 0:
-        files.problems.add(f"metrics.json: {MEASURED[0]} is {seconds}, not a time")
+        files.problems.add(f"metrics.json: {SECONDS} is {seconds}, not a time")
     elif not _agree(speed, len(files.decisions) / seconds if seconds else None):
-        files.problems.add(f"metrics.json: {MEASURED[1]} is {speed}, which does not fit {MEASURED[0]}")
+        files.problems.add(f"metrics.json: {SPEED} is {speed}, which does not fit {SECONDS}")
 
 
 def _agree(stated: Any, value: float | None) -> bool:
@@ -85,31 +218,16 @@ def _agree(stated: Any, value: float | None) -> bool:
     return is_number(stated) and math.isclose(stated, value, rel_tol=TOLERANCE, abs_tol=1e-12)
 
 
-def _mean_cost_per_slot(files: RunFiles, run: Replayed) -> float:
-    """Each request costs its phi in every slot that it runs; summed by request, not slot by slot."""
-    first, horizon = files.scenario["warmup"], files.scenario["horizon"]
-    spent = (
-        answer.walk.cost * max(0, min(answer.end, horizon) - max(answer.request.slot, first))
-        for answer in run.answers
-        if answer.accepted
-    )
-    return math.fsum(spent) / (horizon - first)
+def _vms(decided: Decided) -> tuple[list[int], int]:
+    """What VMs carry in every counted slot, and what they could."""
+    total = sum(vm.units for here in decided.files.vms for vm in here)
+    return decided.run.vm_used[decided.files.scenario["warmup"] :], total
 
 
-def _utilisation(files: RunFiles, run: Replayed) -> dict[str, float | None]:
-    vms = sum(vm.units for here in files.vms for vm in here)
-    links = sum(link.units for link in files.links.values())
-    result: dict[str, float | None] = {}
-    for name, used, total in (("vm", run.vm_used, vms), ("link", run.link_used, links)):
-        counted = used[files.scenario["warmup"] :]
-        result[f"{name}_utilisation"] = sum(counted) / total / len(counted)
-        result[f"{name}_utilisation_peak"] = max(counted) / total
-    return result
-
-
-def _interruptions(accepted: list[Answer]) -> dict[str, float | None]:
-    lost = [answer.request.departure - answer.end for answer in accepted if answer.interrupted_at is not None]
-    return {"interrupted": _share(len(lost), len(accepted)), "lost_service_time": sum(lost)}
+def _links(decided: Decided) -> tuple[list[int], int]:
+    """The same of links."""
+    total = sum(link.units for link in decided.files.links.values())
+    return decided.run.link_used[decided.files.scenario["warmup"] :], total
 
 
 def _share(part: int, whole: int) -> float | None:

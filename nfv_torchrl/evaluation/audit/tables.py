@@ -10,17 +10,14 @@ from pathlib import Path
 from nfv_torchrl.evaluation.audit.files import read_csv
 from nfv_torchrl.evaluation.audit.intervals import Row, mean_row, ratio_row
 from nfv_torchrl.evaluation.audit.problems import Problems, UnreadableRun
-from nfv_torchrl.evaluation.audit.recompute import MEASURED, TOLERANCE
+from nfv_torchrl.evaluation.audit.recompute import TOLERANCE, is_measured
 from nfv_torchrl.evaluation.audit.report import AuditReport
+from nfv_torchrl.vocabulary import PER_SEED_COLUMNS, SUMMARY_COLUMNS, TABLE
 
-BOUND = "aar_bound"
+BOUND = TABLE["aar_bound"].name
 MYOPIC = "myopic_optimal"
 SMALLEST_GAP = 1e-3
 """Bound and `myopic_optimal` closer than this leave no gap of which a share could be closed."""
-
-SUMMARY = ["method", "metric", "mean", "ci_low", "ci_high", "n", "reference", "scenario", "colocation",
-           "observe_lifetime"]  # fmt: skip
-PER_SEED = ["method", "seed", "metric", "value", "scenario_seed", "rho"]
 
 Key = tuple[str, ...]
 Cells = dict[str, "float | str"]
@@ -48,23 +45,23 @@ class Evaluation:
 
 def check_tables(folder: Path, evaluation: Evaluation, problems: Problems) -> dict[tuple[str, int | None], float]:
     """Report what is wrong with the two tables. Returns the bounds as per_seed.csv states them, by name and seed."""
-    per_seed = _read(folder / "per_seed.csv", PER_SEED, ("method", "seed", "metric"), problems)
+    per_seed = _read(folder / "per_seed.csv", PER_SEED_COLUMNS, ("method", "seed", "metric"), problems)
     bounds = {
         (name, seed): _number(per_seed.get((name, _text(seed), BOUND), {}).get("value", ""))
         for name, seeds in evaluation.bounds.items()
         for seed in seeds
     }
     _compare("per_seed.csv", dict(_per_seed(evaluation, bounds)), per_seed, problems)
-    summary = _read(folder / "summary.csv", SUMMARY, ("method", "metric", "reference"), problems)
+    summary = _read(folder / "summary.csv", SUMMARY_COLUMNS, ("method", "metric", "reference"), problems)
     _compare("summary.csv", dict(_summary(evaluation, bounds)), summary, problems)
     return bounds
 
 
-def _read(path: Path, columns: list[str], names: Key, problems: Problems) -> dict[Key, dict[str, str]]:
+def _read(path: Path, columns: tuple[str, ...], names: Key, problems: Problems) -> dict[Key, dict[str, str]]:
     """The rows by the cells that name them."""
     rows: dict[Key, dict[str, str]] = {}
     try:
-        for line, cells in read_csv(path, columns):
+        for line, cells in read_csv(path, list(columns)):
             row = dict(zip(columns, cells, strict=False))
             key = tuple(row.get(name, "") for name in names)
             if len(cells) != len(columns) or key in rows:
@@ -166,7 +163,7 @@ def _cells(row: Row) -> Cells:
 
 
 def _value(run: AuditReport, metric: str) -> float:
-    value = run.stated.get(metric) if metric in MEASURED else run.metrics.get(metric)
+    value = run.stated.get(metric) if is_measured(metric) else run.metrics.get(metric)
     return float(value) if isinstance(value, (int, float)) else math.nan
 
 
