@@ -73,8 +73,8 @@ class TrainingWindow:
             counts = zip(self.services, self.arrived.tolist(), self.accepted.tolist(), strict=True)
             return {name: {"arrived": came, "accepted": taken} for name, came, taken in counts}
         if parts == "REASON":
-            counts = zip(REASON_NAMES, self.reasons.tolist(), strict=True)
-            return {name: whole | {"rejected": count} for name, count in counts}
+            refused = zip(REASON_NAMES, self.reasons.tolist(), strict=True)
+            return {name: whole | {"rejected": count} for name, count in refused}
         return {"": whole}
 
     def state_dict(self) -> dict[str, Tensor]:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from inprocess import call
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tiny import TINY_SCENARIO, TINY_TRAINING
 
 from nfv_torchrl.evaluation.runner import run_method
@@ -21,6 +22,7 @@ from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.run import evaluate_policy
+from nfv_torchrl.vocabulary import without_row
 
 CHOICES = {
     "dqn": ["loss=dqn"],
@@ -57,6 +59,9 @@ def test_it_trains_resumes_to_the_bit_and_loads(name, tmp_path):
     train(folder, *CHOICES[name], "collector.total_frames=192", "resume=true")
     again = load_file(CheckpointFolder(folder).files()[-1])
     assert again["progress"]["frames"] == 192
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    assert not without_row(events.Tags()["scalars"])
     for key, value in whole["loss"].items():
         assert torch.equal(value, again["loss"][key]), key
         assert torch.isfinite(value).all()
