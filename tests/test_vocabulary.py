@@ -17,10 +17,10 @@ from nfv_torchrl import losses, vocabulary
 from nfv_torchrl.evaluation import metrics
 from nfv_torchrl.evaluation.audit import audit_run, recompute
 from nfv_torchrl.evaluation.comparison import Comparison
-from nfv_torchrl.methods import RandomMethod
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import method_table, write_summary
+from nfv_torchrl.methods import RandomMethod
 from nfv_torchrl.vocabulary import TABLE, Quantity, add, find, in_place, without_row
 
 PAGE = (Path(__file__).parents[1] / "docs" / "metrics.md").read_text()
