@@ -1,0 +1,148 @@
+"""How fast the simulator, the environment, a collector and methods are, and the memory they take; rows for a table."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from torchrl.collectors import Collector
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.evaluation.runner import scenario_for
+from nfv_torchrl.experiments.loaded import batches, load_networks, loaded_env, make_scenario, median_rates, vm_use
+from nfv_torchrl.methods import methods_from_config
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.simulator import Simulator, kernels
+from nfv_torchrl.simulator.state import OUTCOME
+from nfv_torchrl.training.random_policy import RandomPolicy
+
+ROLLOUT, COLLECTED = 64, 16
+"""Steps of each environment in a rollout, and in a batch of the collector."""
+
+Row = dict[str, Any]
+
+
+def run_kernel(config: dict[str, Any]) -> Iterator[Row]:
+    for nodes, batch, scenario, steps in batches(config):
+        simulator = Simulator(scenario, batch)
+        load_networks(simulator, config["loaded_slot"])
+        states = np.random.default_rng(0).integers(1, 2**63, batch).astype(np.uint64)
+        before, slot = vm_use(simulator), int(simulator.world.env["slot"].min())
+        answered: list[int] = []
+
+        def count(simulator=simulator, states=states, steps=steps, answered=answered) -> int:
+            answered.append(kernels.random_steps(simulator.world, steps, states))
+            return steps * len(states)
+
+        cpu, wall = median_rates(config, count)
+        if simulator.world.env["slot"].min() < slot:
+            raise ScenarioError("a network was emptied while it was measured; lower frames or repeats")
+        requests = sum(answered) / (len(answered) * steps * batch)
+        yield {
+            "N": nodes,
+            "B": batch,
+            "steps/s": cpu,
+            "steps/s (wall)": wall,
+            "requests/s": cpu * requests,
+            "VM use before": before,
+            "VM use after": vm_use(simulator),
+            "MB per env": simulator.memory_bytes() / batch / 1e6,
+        }
+
+
+def run_env(config: dict[str, Any]) -> Iterator[Row]:
+    for nodes, batch, scenario, steps in batches(config, ROLLOUT):
+        env, policy = loaded_env(config, batch, scenario), RandomPolicy()
+        env.reset()
+        state = {"next": env.rollout(1, policy, auto_reset=False, tensordict=env.reset())[:, -1]["next"]}
+
+        def count(env=env, policy=policy, steps=steps, state=state, batch=batch) -> int:
+            for _ in range(steps // ROLLOUT):
+                rollout = env.rollout(ROLLOUT, policy, auto_reset=False, tensordict=state["next"])
+                state["next"] = rollout[:, -1]["next"].exclude("reward")
+            return steps // ROLLOUT * ROLLOUT * batch
+
+        cpu, wall = median_rates(config, count)
+        yield {
+            "N": nodes,
+            "B": batch,
+            "frames/s": cpu,
+            "frames/s (wall)": wall,
+            f"rollouts of {ROLLOUT} steps/s": cpu / ROLLOUT / batch,
+            "VM use after": vm_use(env.simulator),
+        }
+
+
+def run_collector(config: dict[str, Any]) -> Iterator[Row]:
+    for nodes, batch, scenario, steps in batches(config, COLLECTED):
+        env = loaded_env(config, batch, scenario)
+        collector = Collector(env, RandomPolicy(), frames_per_batch=COLLECTED * batch, total_frames=-1,
+                              auto_register_policy_transforms=False)  # fmt: skip
+        data = iter(collector)
+
+        def count(data=data, steps=steps) -> int:
+            return sum(next(data).numel() for _ in range(steps // COLLECTED))
+
+        cpu, wall = median_rates(config, count)
+        yield {"N": nodes, "B": batch, "frames/s": cpu, "frames/s (wall)": wall, "VM use after": vm_use(env.simulator)}
+        collector.shutdown()
+
+
+def run_methods(config: dict[str, Any]) -> Iterator[Row]:
+    batch = config["methods"]["batch_size"]
+    for nodes in config["nodes"]:
+        for name, entry in config["method"].items():
+            scenario = make_scenario(config, nodes, 1000)
+            (method,) = methods_from_config({name: entry}, scenario)
+            simulator = Simulator(scenario_for(scenario, method), batch, one_hot=method.one_hot)
+            load_networks(simulator, config["loaded_slot"], different=batch)
+            method.prepare(simulator, range(batch))
+            before = vm_use(simulator)
+            decide(simulator, method, config["methods"]["seconds"] / 10)
+            requests, cpu, wall = decide(simulator, method, config["methods"]["seconds"])
+            yield {
+                "method": method.name,
+                "N": nodes,
+                "requests/s": requests / cpu,
+                "requests/s (wall)": requests / wall,
+                "us per request": 1e6 * cpu / requests,
+                "VM use before": before,
+                "VM use after": vm_use(simulator),
+            }
+
+
+def decide(simulator: Simulator, method: Any, seconds: float) -> tuple[int, float, float]:
+    """Let ``method`` decide for so long. Returns requests answered, processor and wall seconds it took to decide."""
+    requests, cpu, wall = 0, 0.0, 0.0
+    while (cpu < seconds or not requests) and not simulator.world.env["done"].all():
+        begun = time.process_time(), time.perf_counter()
+        actions = method.act(simulator)
+        cpu += time.process_time() - begun[0]
+        wall += time.perf_counter() - begun[1]
+        simulator.step(np.ascontiguousarray(actions, np.int64))
+        requests += int(simulator.world.outcome[:, OUTCOME.request_done].sum())
+    return max(requests, 1), cpu, wall
+
+
+def run_memory(config: dict[str, Any]) -> Iterator[Row]:
+    for setting in config["memory"]:
+        values = {key: value for key, value in setting.items() if key not in ("nodes", "batch_size")}
+        substrate = {**config["scenario"]["substrate"], "nodes": setting["nodes"]}
+        scenario = Scenario.from_config({**config["scenario"], **values, "substrate": substrate})
+        simulator = Simulator(scenario, setting["batch_size"])
+        # No request arrives after the last slot, so the pools have their final size.
+        load_networks(simulator, scenario.horizon - 1, different=2)
+        yield {
+            "N": setting["nodes"],
+            "B": setting["batch_size"],
+            "lambda": scenario.arrival_rate,
+            "mu": scenario.mean_lifetime,
+            "T": scenario.horizon,
+            "running requests": float(simulator.world.env["num_running"].mean()),
+            "GB": simulator.memory_bytes() / 1e9,
+            "MB per env": simulator.memory_bytes() / setting["batch_size"] / 1e6,
+            "largest GB of the process": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+        }
