@@ -468,13 +468,13 @@ class MethodSpeed:
 
 @dataclass(frozen=True)
 class MemoryUse:
-    """A batch that has to fit."""
+    """A batch that has to fit; what is left out is as in the scenario."""
 
     nodes: Nodes
     batch_size: Count
-    arrival_rate: Positive
-    mean_lifetime: Positive
-    horizon: Count
+    arrival_rate: Positive | None = None
+    mean_lifetime: Positive | None = None
+    horizon: Count | None = None
 
 
 @dataclass(frozen=True)
