@@ -175,7 +175,7 @@ def test_refusals(tmp_path, capsys):
     assert "reference: 'tabu'" in refused(capsys, "reference=tabu")
     assert "unknown key" in refused(capsys, "+colour=blue")
     assert "horizon" in refused(capsys, "scenario.horizon=0")
-    assert "paths is 0" in refused(capsys, "method.greedy.planner.paths=0")
+    assert "planner.paths: 0" in refused(capsys, "method.greedy.planner.paths=0")
     (tmp_path / "file").write_text("")
     assert "is a file" in refused(capsys, f"output={tmp_path / 'file'}")
 
