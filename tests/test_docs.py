@@ -115,6 +115,22 @@ def test_recipes_that_are_named_exist():
     assert named <= set(recipe_names())
 
 
+def test_files_that_are_named_exist():
+    lost = []
+    for page in PAGES:
+        text = re.sub(r"^ *```.*?^ *```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+        named = re.findall(r"`((?:nfv_torchrl|tests|recipes|docs)/[a-z0-9_/.]+)`", text)
+        lost += [f"{page.relative_to(ROOT)}: {name}" for name in named if not (ROOT / name).exists()]
+    assert not lost
+
+
+def test_imports_that_are_printed_work():
+    for page in PAGES:
+        for line in printed_lines(page):
+            if re.match(r"from nfv_torchrl[\w.]* import [\w, ]+$", line):
+                exec(line, {})  # as a reader would
+
+
 @pytest.mark.parametrize(
     "recipe", sorted({name for name, arguments in ALL_COMMANDS if can_be_composed(name, arguments)})
 )
