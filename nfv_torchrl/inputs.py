@@ -15,7 +15,7 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.scenario import Scenario
 
-NAMING = ("path", "checkpoint", "init_from", "start", "dataset")
+NAMING = ("path", "checkpoint", "init_from", "dataset")
 """Last words of settings that name an input file, at any depth. Of a dataset it is the manifest."""
 _OVERRIDE = re.compile(rf"\+*([\w.]*\b(?:{'|'.join(NAMING)}))=(.+)", re.DOTALL)
 

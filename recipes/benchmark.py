@@ -91,7 +91,7 @@ def run_training(config: dict[str, Any]) -> Iterator[Row]:
                 f"scenario={choice}", f"scenario.substrate.nodes={nodes}",
                 f"scenario.arrival_rate={scenario.arrival_rate}", f"run_dir={quote(Path(folder) / 'run')}",
                 f"collector.total_frames={config['training']['frames']}",
-                "logger.interval=5", "eval.interval=0", "checkpoint.interval=1000000", *config["training"]["overrides"],
+                "logger.interval=5", "eval.interval=0", "saving.interval=1000000", *config["training"]["overrides"],
             ]  # fmt: skip
             recipe = Path(__file__).with_name("dqn.py")
             run = subprocess.run([sys.executable, str(recipe), *arguments], capture_output=True, text=True)

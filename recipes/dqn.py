@@ -160,7 +160,7 @@ def main(cfg: DictConfig) -> None:
                 bar.set_postfix_str(line)
             if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
                 evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
-            if progress.iteration % cfg.checkpoint.interval == 0:
+            if progress.iteration % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
             bar.update(progress.frames - bar.n)
 

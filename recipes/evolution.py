@@ -52,8 +52,8 @@ def main(cfg: DictConfig) -> None:
     # What evolves, from where, and what it is measured by.
     sizes = Sizes.of(Simulator(scenario, 1))
     policy = instantiate(cfg.policy, network=instantiate(cfg.network), sizes=sizes)
-    if cfg.start is not None:
-        load_weights(policy.network, cfg.start)
+    if cfg.init_from is not None:
+        load_weights(policy.network, cfg.init_from)
     tasks = instantiate(config["tasks"], scenario=config["scenario"])
     held_out = tasks.draw(cfg.eval.seed, 0, cfg.eval.tasks)
     arena = Arena(threads=cfg.threads, **cfg.fitness)
@@ -102,7 +102,7 @@ def main(cfg: DictConfig) -> None:
             bar.update()
             if cfg.eval.interval and strategy.generation % cfg.eval.interval == 0:
                 evaluate()
-            if strategy.generation % cfg.checkpoint.interval == 0:
+            if strategy.generation % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
 
     bar.close()

@@ -115,7 +115,7 @@ def main(cfg: DictConfig) -> None:
                 bar.set_postfix_str(logger.iteration(progress, window, data, learning))
             if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
                 evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
-            if progress.iteration % cfg.checkpoint.interval == 0:
+            if progress.iteration % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
             bar.update(progress.frames - bar.n)
 

@@ -119,6 +119,7 @@ def test_seeds_are_a_number_or_a_list():
         (["learner.lrr=1"], "learner.lrr: unknown key; did you mean 'lr'?"),
         (["network=candidate", "network.hiden=1"], "network.hiden: unknown key; did you mean 'hidden'?"),
         (["netwrok=mlp"], "netwrok: unknown key; did you mean 'network'?"),
+        (["checkpoint.keep=1"], "checkpoint: was renamed to saving; use that"),
         (["network=candidat"], "network: there is no 'candidat'; did you mean 'candidate'?"),
         (["seed"], "Error parsing override 'seed'"),
     ],

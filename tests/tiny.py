@@ -25,7 +25,7 @@ TINY_TRAINING = [
     "logger.figures=false",
     "eval.interval=10",
     "eval.seeds=[1000]",
-    "checkpoint.interval=5",
+    "saving.interval=5",
 ]
 
 

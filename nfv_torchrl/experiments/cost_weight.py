@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, bound_rows, constant, gap_rows, method_row, paired_rows
-from nfv_torchrl.experiments.study import AGENT, Study, World
+from nfv_torchrl.experiments.study import AGENT, Point, Study
 from nfv_torchrl.experiments.sweeps import METRICS
 
 SERIES = {"default": "DQN-AR, default reward", "paper": "DQN-AR, paper's reward"}
@@ -58,13 +58,13 @@ class CostWeight:
         )
         return Drawn(figure, rows, paired)
 
-    def _worlds(self, study: Study) -> list[World]:
+    def _worlds(self, study: Study) -> list[Point]:
         return [study.world(colocation=colocation) for colocation in study.colocations]
 
-    def _others(self, study: Study, world: World) -> dict[str, Cell]:
+    def _others(self, study: Study, world: Point) -> dict[str, Cell]:
         return {name: cell for name, cell in study.evaluations(world).items() if name != AGENT}
 
-    def _agents(self, study: Study, world: World) -> dict[tuple[str, float], Cell]:
+    def _agents(self, study: Study, world: Point) -> dict[tuple[str, float], Cell]:
         if AGENT not in study.methods(world):
             return {}
         return {

@@ -11,7 +11,7 @@ from nfv_torchrl.evaluation.statistics import Interval, mean_interval
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, setting
-from nfv_torchrl.experiments.study import Study, World, show
+from nfv_torchrl.experiments.study import Point, Study, show
 from nfv_torchrl.scenario.scenario import Scenario
 
 HIDDEN = (256, 256)
@@ -30,7 +30,7 @@ class Size:
     functions: int
 
     @classmethod
-    def of(cls, world: World) -> Size:
+    def of(cls, world: Point) -> Size:
         scenario = Scenario.from_config(world)
         substrate, types = scenario.substrate, len(scenario.catalogue.types)
         pairs = 1 if scenario.endpoint_pairs is None else scenario.endpoint_pairs.shape[1]
@@ -89,7 +89,7 @@ class DecisionTime:
         )
         return Drawn(figure, rows)
 
-    def _row(self, study: Study, store: CellStore, name: str, world: World) -> dict[str, object]:
+    def _row(self, study: Study, store: CellStore, name: str, world: Point) -> dict[str, object]:
         cell = study.timing(name, world)
         result = store.read(cell)
         milliseconds = [1000 * seconds for seconds in result["seconds_per_request"].values()]
@@ -109,6 +109,6 @@ class DecisionTime:
                 rows.append(tidy_row(text, nodes, interval, method=name, panel=measured[0]["panel"]))
         return rows
 
-    def _worlds(self, study: Study) -> list[World]:
+    def _worlds(self, study: Study) -> list[Point]:
         at = study.budget["nodes_at"]
         return [study.world(**{**at, "nodes": nodes}) for nodes in study.budget["nodes"]]

@@ -9,7 +9,7 @@ from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, setting
-from nfv_torchrl.experiments.study import AGENT, Study, World
+from nfv_torchrl.experiments.study import AGENT, Point, Study
 from nfv_torchrl.experiments.sweeps import METRICS
 from nfv_torchrl.settings.values import list_of_seeds
 
@@ -30,7 +30,7 @@ class LearningCurves:
         bounds = [self._bound(study, world) for world in self._worlds(study)] if self.metric == "aar" else []
         return runs + [study.evaluation(AGENT, world) for world in self._worlds(study)] + bounds
 
-    def _bound(self, study: Study, world: World) -> Cell:
+    def _bound(self, study: Study, world: Point) -> Cell:
         """Of the held-out workloads on which training evaluates."""
         seeds = study.training(AGENT, world).spec["config"]["eval"]["seeds"]
         return study.bound(world, list_of_seeds("eval.seeds", seeds))
@@ -50,7 +50,7 @@ class LearningCurves:
         )
         return Drawn(figure, rows)
 
-    def _rows(self, study: Study, store: CellStore, world: World, group: str) -> Rows:
+    def _rows(self, study: Study, store: CellStore, world: Point, group: str) -> Rows:
         curves = [store.read(study.training(AGENT, world, seed=seed))[group] for seed in self._seeds(study)]
         values: dict[int, list[float]] = {}
         for point in (point for curve in curves for point in curve if self.metric in point):
@@ -68,14 +68,14 @@ class LearningCurves:
             for frames, found in sorted(values.items())
         ]
 
-    def _frames_per_horizon(self, study: Study, store: CellStore, world: World) -> float:
+    def _frames_per_horizon(self, study: Study, store: CellStore, world: Point) -> float:
         runs = store.read(study.evaluation(AGENT, world))["metrics"].values()
         return sum(run["frames"] for run in runs) / len(runs)
 
     def _seeds(self, study: Study) -> list[int]:
         return list(range(study.budget["training_seeds"]))
 
-    def _worlds(self, study: Study) -> list[World]:
+    def _worlds(self, study: Study) -> list[Point]:
         at = study.budget["nodes_at"]
         worlds = [study.world(**{**at, "nodes": nodes}) for nodes in study.budget["nodes"]]
         return [world for world in worlds if AGENT in study.methods(world)]

@@ -10,7 +10,7 @@ from nfv_torchrl.evaluation.comparison import MYOPIC
 from nfv_torchrl.evaluation.figures import tidy_row
 from nfv_torchrl.evaluation.statistics import Interval, cost_ratio, gap_closed, mean_interval, relative_difference
 from nfv_torchrl.experiments.cells import Cell, CellStore
-from nfv_torchrl.experiments.study import AGENT, Study, World, show
+from nfv_torchrl.experiments.study import AGENT, Point, Study, show
 from nfv_torchrl.experiments.work import read_costs
 
 Rows = list[dict[str, Any]]
@@ -23,7 +23,7 @@ def values(result: Mapping[str, Any], metric: str) -> list[float]:
     return [math.nan if value is None else value for value in found]
 
 
-def setting(world: World, rho: float) -> dict[str, Any]:
+def setting(world: Point, rho: float) -> dict[str, Any]:
     """Columns that say on what scenario a row is."""
     return {
         "panel": f"colocation {'on' if world['colocation'] else 'off'}",
@@ -36,7 +36,7 @@ def setting(world: World, rho: float) -> dict[str, Any]:
 
 
 def method_row(
-    store: CellStore, cell: Cell, name: str, x: float, metric: str, world: World, series: str | None = None
+    store: CellStore, cell: Cell, name: str, x: float, metric: str, world: Point, series: str | None = None
 ) -> dict[str, Any]:
     """One method at one point."""
     result = store.read(cell)
@@ -45,7 +45,7 @@ def method_row(
     return tidy_row(series or show(name), x, interval, **more)
 
 
-def bound_rows(store: CellStore, cell: Cell, x: float, world: World) -> Rows:
+def bound_rows(store: CellStore, cell: Cell, x: float, world: Point) -> Rows:
     """The bounds on AAR at one point."""
     result = store.read(cell)
     more = {"metric": "aar", **setting(world, result["rho"]), "cell": cell.key}
@@ -56,7 +56,7 @@ def bound_rows(store: CellStore, cell: Cell, x: float, world: World) -> Rows:
 
 
 def paired_rows(
-    store: CellStore, cells: Mapping[str, Cell], x: float, world: World, study: Study, series: str | None = None
+    store: CellStore, cells: Mapping[str, Cell], x: float, world: Point, study: Study, series: str | None = None
 ) -> Rows:
     """DQN-AR (called ``series``) against every other method on the same requests.
 
@@ -87,7 +87,7 @@ def paired_cost(store: CellStore, cell: Cell, reference: Cell) -> Interval:
 
 
 def gap_rows(
-    store: CellStore, cells: Mapping[str, Cell], bound: Cell, x: float, world: World, agent: str | None = None
+    store: CellStore, cells: Mapping[str, Cell], bound: Cell, x: float, world: Point, agent: str | None = None
 ) -> Rows:
     """How much of the way from `myopic_optimal` to each bound on AAR a method goes, where there is a way to go.
 

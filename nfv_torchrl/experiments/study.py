@@ -17,12 +17,12 @@ from nfv_torchrl.experiments.cells import Cell, make_cell
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.cli import recipe_configs
 
-World = dict[str, Any]
+Point = dict[str, Any]
 """The keys of a scenario's yaml, all of them."""
 PLACES = {"nodes": ("substrate", "nodes")}
 """Where a changed value is, if not at the top."""
 AGENT = "dqn_ar"
-NO_MATTER = ("scenario", "run_dir", "resume", "device", "logger", "checkpoint")
+NO_MATTER = ("scenario", "run_dir", "resume", "device", "logger", "saving")
 
 
 class Study:
@@ -38,7 +38,7 @@ class Study:
 
     def __init__(self, config: Mapping[str, Any], recipes: Path) -> None:
         self._recipes = recipes.resolve()
-        self.base: World = config["scenario"]
+        self.base: Point = config["scenario"]
         self.budget: dict[str, Any] = config["budget"]
         self.planners: dict[str, Any] = config["method"]
         self.trained: dict[str, Any] = config["trained"]
@@ -49,7 +49,7 @@ class Study:
         self._configs: dict[tuple[str, tuple[str, ...]], dict[str, Any]] = {}
         self._mask: str | None = None
 
-    def world(self, **changes: Any) -> World:
+    def world(self, **changes: Any) -> Point:
         """The base scenario with ``changes`` (``nodes`` is the substrate's).
 
         Raises:
@@ -66,18 +66,18 @@ class Study:
             place[PLACES.get(key, (key,))[-1]] = value
         return world
 
-    def rho(self, world: World) -> float:
+    def rho(self, world: Point) -> float:
         """Offered load of a scenario."""
         key = json.dumps(world, sort_keys=True)
         if key not in self._rho:
             self._rho[key] = Scenario.from_config(world).offered_load()
         return self._rho[key]
 
-    def methods(self, world: World) -> list[str]:
+    def methods(self, world: Point) -> list[str]:
         """The methods compared on a scenario; trained ones only where the budget trains for it."""
         return [*(self.trained if self._trains_for(world) else ()), *self.planners]
 
-    def _trains_for(self, world: World) -> bool:
+    def _trains_for(self, world: Point) -> bool:
         """Whether the colocation, and each value named in ``trained_points``, are of those that agents train for."""
         if world["colocation"] not in self.budget["trained_colocation"]:
             return False
@@ -85,31 +85,31 @@ class Study:
         points = self.budget["trained_points"]
         return all(points[key] is None or values[key] in points[key] for key in points)
 
-    def evaluations(self, world: World) -> dict[str, Cell]:
+    def evaluations(self, world: Point) -> dict[str, Cell]:
         """An evaluation of every method on a scenario."""
         return {name: self.evaluation(name, world) for name in self.methods(world)}
 
-    def evaluation(self, name: str, world: World, reward: Sequence[str] | None = None) -> Cell:
+    def evaluation(self, name: str, world: Point, reward: Sequence[str] | None = None) -> Cell:
         """A method on all seeds of a scenario; ``reward``: see ``training``."""
         return self._run("evaluation", name, world, self.seeds, reward)
 
-    def timing(self, name: str, world: World) -> Cell:
+    def timing(self, name: str, world: Point) -> Cell:
         """A method's decision time, on scenarios cut short. A trained method has the policy of the whole horizon."""
         options = self.budget["timing"]
         short = world | {"horizon": min(world["horizon"], options["horizon"])}
         return self._run("timing", name, short, list(range(options["seeds"])), None, trained_on=world)
 
-    def bound(self, world: World, seeds: Sequence[int] | None = None) -> Cell:
+    def bound(self, world: Point, seeds: Sequence[int] | None = None) -> Cell:
         """Upper bounds on AAR, of the workloads of all seeds or of ``seeds``."""
         spec = {"scenario": world, "seeds": self.seeds if seeds is None else list(seeds)}
         return make_cell("bound", _label("bound", world), spec)
 
-    def presence(self, world: World, slots: Sequence[int]) -> Cell:
+    def presence(self, world: Point, slots: Sequence[int]) -> Cell:
         """How long users stay."""
         spec = {"scenario": world, "seeds": self.seeds, "slots": list(slots)}
         return make_cell("presence", _label("presence", world), spec)
 
-    def training(self, name: str, world: World, reward: Sequence[str] | None = None, seed: int = 0) -> Cell:
+    def training(self, name: str, world: Point, reward: Sequence[str] | None = None, seed: int = 0) -> Cell:
         """The training of a method on a scenario.
 
         Args:
@@ -175,10 +175,10 @@ class Study:
         self,
         kind: str,
         name: str,
-        world: World,
+        world: Point,
         seeds: Sequence[int],
         reward: Sequence[str] | None,
-        trained_on: World | None = None,
+        trained_on: Point | None = None,
     ) -> Cell:
         alone = kind == "timing"
         more = {"clock": "processor"} if alone else {}
@@ -200,7 +200,7 @@ def show(name: str) -> str:
     return LABELS.get(name, name)
 
 
-def _label(name: str, world: World) -> str:
+def _label(name: str, world: Point) -> str:
     substrate = world["substrate"]
     where = f"N{substrate['nodes']}" if substrate["path"] is None else str(substrate["path"]).replace("/", "_")
     colocation = "_coloc" if world["colocation"] else ""

@@ -9,7 +9,7 @@ from typing import Any
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, bound_rows, gap_rows, method_row, paired_rows
-from nfv_torchrl.experiments.study import Study, World
+from nfv_torchrl.experiments.study import Point, Study
 
 METRICS = {"aar": "AAR", "anuc": "ANUC ($)"}
 
@@ -63,7 +63,7 @@ class Sweep:
         )
         return Drawn(figure, rows, paired)
 
-    def _worlds(self, study: Study, colocation: bool) -> Mapping[float, World]:
+    def _worlds(self, study: Study, colocation: bool) -> Mapping[float, Point]:
         at: dict[str, Any] = study.budget[self.at] if self.at else {}
         points = study.budget[self.points]
         return {x: study.world(**{**at, self.parameter: x, "colocation": colocation}) for x in points}

@@ -10,7 +10,7 @@ from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, set_title
 from nfv_torchrl.experiments.rows import Rows, setting, values
-from nfv_torchrl.experiments.study import AGENT, Study, World, show
+from nfv_torchrl.experiments.study import AGENT, Point, Study, show
 
 PANELS = {
     "mean_hops": "links used an accepted request",
@@ -38,7 +38,7 @@ class RewardAndWalkLength:
         head = f"Reward and length of the walk, {where}, ρ = {study.rho(world):.2f}, colocation off"
         return Drawn(_bars(rows, f"{head}\n{study.about()}"), rows)
 
-    def _world(self, study: Study) -> World:
+    def _world(self, study: Study) -> Point:
         return study.world(colocation=False)
 
     def _runs(self, study: Study) -> dict[str, Cell]:

@@ -5,7 +5,7 @@ Needs NumPy and networkx, not torch. Start at ``Scenario``.
 
 from nfv_torchrl.scenario.config import ScenarioConfig, SubstrateConfig
 from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline, sample_timeline
-from nfv_torchrl.scenario.files import RunFolder, read_run_folder, scenario_to_json
+from nfv_torchrl.scenario.files import StoredRun, read_run_folder, scenario_to_json
 from nfv_torchrl.scenario.random_graph import draw_random_substrate
 from nfv_torchrl.scenario.resources import ResourceRanges
 from nfv_torchrl.scenario.scenario import Scenario, paper_scenario
@@ -19,11 +19,11 @@ __all__ = [
     "FailureModel",
     "FailureTimeline",
     "ResourceRanges",
-    "RunFolder",
     "Scenario",
     "ScenarioConfig",
     "ServiceCatalogue",
     "ServiceType",
+    "StoredRun",
     "Stream",
     "Substrate",
     "SubstrateConfig",

@@ -35,7 +35,7 @@ PLAIN_KEYS = (
 OTHER_KEYS = ("method", "seeds", "endpoint_pairs", "workload_path", "vnfs", "services", "failures", "failure_timeline")
 
 
-class RunFolder(NamedTuple):
+class StoredRun(NamedTuple):
     """What a run's folder says about the world it ran in."""
 
     scenario: Scenario
@@ -70,7 +70,7 @@ def scenario_to_json(
     }
 
 
-def read_run_folder(folder: str | os.PathLike[str]) -> RunFolder:
+def read_run_folder(folder: str | os.PathLike[str]) -> StoredRun:
     """The scenario, workload and failures of a folder with ``scenario.json``, ``substrate.json``, ``workload.csv``.
 
     The scenario is as it was, to the bit; if its workload came from a file, that file is now the folder's.
@@ -94,7 +94,7 @@ def read_run_folder(folder: str | os.PathLike[str]) -> RunFolder:
     )
     if data["workload_path"] is not None:
         scenario = scenario.replace(workload_path=str(requests))
-    return RunFolder(scenario, workload, timeline, data["method"], data["seeds"].get("workload"))
+    return StoredRun(scenario, workload, timeline, data["method"], data["seeds"].get("workload"))
 
 
 def _check_keys(data: dict[str, Any], path: Path) -> None:

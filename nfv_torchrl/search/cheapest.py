@@ -20,8 +20,8 @@ from nfv_torchrl.search.labels import (
 from nfv_torchrl.search.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go
 from nfv_torchrl.search.walks import (
     OVERFLOW,
+    PlannedWalk,
     Prices,
-    Walk,
     encode_walk,
     make_problem,
     make_walk,
@@ -42,7 +42,7 @@ class Scratch(NamedTuple):
     delay: ToGo
     labels: Labels
     critical: Critical
-    walk: Walk
+    walk: PlannedWalk
     vm_price: np.ndarray  # float64 [N, V], for callers that compute prices
     link_price: np.ndarray  # float64 [L]
     result: np.ndarray  # float64 [3]: priced cost ($), true cost ($), delay (ms) of the last plan; inf if none

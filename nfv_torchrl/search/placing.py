@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.search.paths import Candidates, Pair, Paths, grow_paths, make_candidates, make_paths, paths_between
-from nfv_torchrl.search.walks import OVERFLOW, Prices, Walk, encode_walk, make_walk, walk_totals
+from nfv_torchrl.search.walks import OVERFLOW, PlannedWalk, Prices, encode_walk, make_walk, walk_totals
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.steps import fits, link_cost, vm_cost, vm_delay
 from nfv_torchrl.simulator.tables import Tables
@@ -29,7 +29,7 @@ class Placing(NamedTuple):
     position: np.ndarray  # int64 [k + 2, F], placement on each path; the last two rows are for callers
     vm: np.ndarray  # int64 [k + 2, F]
     used: np.ndarray  # int64 [V]
-    walk: Walk
+    walk: PlannedWalk
 
 
 def make_placing(tables: Tables, paths: int) -> Placing:

@@ -54,7 +54,7 @@ class Prices(NamedTuple):
     link: np.ndarray  # float64 [L], $ per Mbit/s
 
 
-class Walk(NamedTuple):
+class PlannedWalk(NamedTuple):
     """Steps of a walk, int64 [J] each: node gone to, link used (-1: none), VM placed on (-1: only forwarded)."""
 
     node: np.ndarray
@@ -62,9 +62,9 @@ class Walk(NamedTuple):
     vm: np.ndarray
 
 
-def make_walk(steps: int) -> Walk:
+def make_walk(steps: int) -> PlannedWalk:
     """Room for a walk of ``steps`` steps."""
-    return Walk(np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps, np.int64))
+    return PlannedWalk(np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps, np.int64))
 
 
 @inlined

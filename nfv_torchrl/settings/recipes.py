@@ -37,7 +37,7 @@ from nfv_torchrl.settings.values import (
 Settings = TypeVar("Settings")
 
 
-class Scenario(Rule):
+class ScenarioRule(Rule):
     """The keys of a scenario."""
 
     def check(self, value: Any, where: str, expected: str) -> None:
@@ -46,7 +46,7 @@ class Scenario(Rule):
 
 
 Mapped = dict[str, Any]
-World = Annotated[Mapped, Scenario()]
+ScenarioKeys = Annotated[Mapped, ScenarioRule()]
 Network = Annotated[Mapped, Target("sizes", "outputs", partial=True)]
 PlainNetwork = Annotated[Mapped, Target("sizes", "outputs", partial=None)]
 Loss = Annotated[Mapped, Target("network", "sizes")]
@@ -99,7 +99,7 @@ class Saving:
 class Run:
     """What every training has."""
 
-    scenario: World
+    scenario: ScenarioKeys
     run_dir: str
     resume: bool
     seed: Seed
@@ -146,7 +146,7 @@ class DqnSettings(Run):
     learner: Learner
     logger: Logger
     eval: HeldOut
-    checkpoint: Saving
+    saving: Saving
 
     def __post_init__(self) -> None:
         check_segment(self.segment, self.stagger)
@@ -191,7 +191,7 @@ class PolicyGradientSettings(Run):
     learner: BatchLearner
     logger: Logger
     eval: HeldOut
-    checkpoint: Saving
+    saving: Saving
 
     def __post_init__(self) -> None:
         check_segment(self.segment, self.stagger)
@@ -294,19 +294,19 @@ class EvolutionSettings(Run):
     strategy: Search
     threads: Threads
     generations: Count
-    start: str | None
+    init_from: str | None
     generation: Generation
     fitness: Fitness
     eval: HeldOutTasks
     logger: Pictures
-    checkpoint: Saving
+    saving: Saving
 
 
 @dataclass(frozen=True)
 class EvaluateSettings:
     """See ``config/evaluate.yaml``."""
 
-    scenario: World
+    scenario: ScenarioKeys
     method: Methods
     checkpoint: str | None
     seeds: SeedList
@@ -411,7 +411,7 @@ class RewardCurve:
 class FiguresSettings:
     """See ``config/figures.yaml``."""
 
-    scenario: World
+    scenario: ScenarioKeys
     method: Methods
     budget: Budget
     figure: str | Overrides
@@ -434,7 +434,7 @@ class ComparedLoss:
 class CompareLossesSettings:
     """See ``config/compare_losses.yaml``."""
 
-    scenario: World
+    scenario: ScenarioKeys
     frames: Count
     explored: Count
     seeds: Count
@@ -481,7 +481,7 @@ class MemoryUse:
 class BenchmarkSettings:
     """See ``config/benchmark.yaml``."""
 
-    scenario: World
+    scenario: ScenarioKeys
     method: Methods
     parts: tuple[Annotated[str, OneOf("kernel", "env", "collector", "training", "methods", "memory")], ...]
     nodes: Annotated[tuple[Nodes, ...], Some]
@@ -501,7 +501,7 @@ class BenchmarkSettings:
 class TunePricedSettings:
     """See ``config/tune_priced.yaml``."""
 
-    scenario: World
+    scenario: ScenarioKeys
     loads: Annotated[tuple[Load, ...], Some]
     colocation: Colocations
     scenario_seeds: Annotated[tuple[Seed, ...], Some]

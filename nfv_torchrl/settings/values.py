@@ -21,6 +21,8 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 
+RENAMED = {"checkpoint": "saving", "start": "init_from"}
+"""Settings that had another name in an earlier version."""
 LONGEST_SHOWN = 100
 PLAIN = {bool: "true or false", str: "text", int: "an integer", float: "a finite number"}
 
@@ -249,6 +251,9 @@ def refuse_key(name: str, known: Iterable[str]) -> NoReturn:
         ScenarioError: always.
     """
     names = [str(key) for key in known]
+    renamed = RENAMED.get(name)
+    if renamed in names:
+        raise ScenarioError(f"{name}: was renamed to {renamed}; use that")
     close = difflib.get_close_matches(name.rpartition(".")[2], names, n=1)
     guess = f"did you mean {close[0]!r}? " if close else ""
     raise ScenarioError(f"{name}: unknown key; {guess}known keys: {', '.join(names) or 'none'}")
@@ -302,11 +307,7 @@ def _parse_number(value: Any, hint: Any, where: str, expected: str) -> int | flo
     if isinstance(value, np.generic):
         value = value.item()  # a float32 would overflow in the comparison
     # A comparison, because math.isfinite chokes on integers beyond a float's range.
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or not -1e300 < value < 1e300
-    ):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -1e300 < value < 1e300:
         refuse(where, value, expected)
     if hint is int and value != round(value):
         refuse(where, value, expected)

@@ -151,9 +151,7 @@ class _Trial:
         sum(values[key] for key in losses).backward()
         gradients = {name: value.grad.clone() for name, value in loss.named_parameters() if value.grad is not None}
         assert all(torch.isfinite(value).all() for value in gradients.values()), "a gradient is not finite"
-        assert any(value.any() for value in gradients.values()), (
-            "no parameter gets a gradient: all under no_grad?"
-        )
+        assert any(value.any() for value in gradients.values()), "no parameter gets a gradient: all under no_grad?"
         return {key: value.detach().clone() for key, value in values.items()}, gradients
 
 

@@ -24,7 +24,7 @@ class CheckpointFolder:
 
     def __init__(self, folder: str | os.PathLike[str], keep: int = 3) -> None:
         if keep < 1:
-            raise CheckpointError(f"checkpoint.keep is {keep}; at least one checkpoint must stay")
+            raise CheckpointError(f"saving.keep is {keep}; at least one checkpoint must stay")
         self.folder = Path(folder)
         self.keep = keep
 

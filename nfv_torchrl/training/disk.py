@@ -45,7 +45,7 @@ def check_room(
     parts = {name: tensor_bytes(part.state_dict()) for name, part in state.items()}
     moments = 2 * parts.get("loss", 0) if "optimizer" in parts else 0  # of Adam, after its first step
     checkpoint = sum(parts.values()) + moments + memory // PACKED
-    keep = config["saving" if "saving" in config else "checkpoint"]["keep"]
+    keep = config["saving"]["keep"]
     lines = iterations // config["logger"].get("interval", 1)
     evaluations = iterations // config["eval"]["interval"] if config["eval"]["interval"] else 0
     needed = (keep + 1) * checkpoint + parts.get("loss", 0) + lines * LINE + evaluations * PICTURE

@@ -34,7 +34,7 @@ from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.setup import quote, run_folder
 
 MAY_CHANGE = (
-    "resume", "run_dir", "device", "logger", "checkpoint.interval", "checkpoint.keep", "saving", "generations",
+    "resume", "run_dir", "device", "logger", "saving", "generations",
     "collector.total_frames",
 )  # fmt: skip
 """Config keys that a resumed run may set anew."""
@@ -61,8 +61,7 @@ class RunFolder:
         self.config = config
         self.resume: bool = config["resume"]
         self.inputs = file_digests(config) | world_digests(scenarios)
-        saving = config["saving"] if "saving" in config else config["checkpoint"]
-        self.checkpoints = CheckpointFolder(path, saving["keep"])
+        self.checkpoints = CheckpointFolder(path, config["saving"]["keep"])
         refuse_foreign("run_dir", path, "run")
         if self.resume and not self.checkpoints.files():
             raise CheckpointError(f"{path} holds no checkpoint to resume from; start without resume=true")

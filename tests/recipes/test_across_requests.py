@@ -13,7 +13,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 
-PRESET = ["preset=across_requests", "network.hidden=[8]", *TINY_TRAINING, "eval.interval=6", "checkpoint.interval=3"]
+PRESET = ["preset=across_requests", "network.hidden=[8]", *TINY_TRAINING, "eval.interval=6", "saving.interval=3"]
 LOSSES = ["slot_discount", "centred", "differential"]
 
 

@@ -45,7 +45,7 @@ def train(folder, *overrides):
         *TINY_SCENARIO,
         *TINY_TRAINING,
         "eval.interval=6",
-        "checkpoint.interval=3",
+        "saving.interval=3",
         *overrides,
     )
 

@@ -56,7 +56,7 @@ def whole_run(tmp_path_factory):
 def test_a_run_leaves_everything_that_is_promised(whole_run):
     folder, printed = whole_run
     assert (folder / "best.pt").exists() and (folder / "config.yaml").exists()
-    assert len(CheckpointFolder(folder).files()) == 2  # checkpoint.keep
+    assert len(CheckpointFolder(folder).files()) == 2  # saving.keep
     assert "tensorboard --logdir" in printed and "best.pt" in printed
     seen = scalars(folder)
     for tag in ("train/aar", "train/anuc", "train/cost_per_accepted", "train/epsilon", "train/loss", "train/chosen_q",

@@ -19,7 +19,7 @@ TINY = [
     "threads=1",
     "eval.interval=2",
     "eval.tasks=2",
-    "checkpoint.interval=2",
+    "saving.interval=2",
     "logger.figures=false",
 ]
 RANDOM = ["tasks.nodes=[5,7]", "tasks.arrival_rate=[6]", "tasks.horizon=[60]", "tasks.vms_max=[2,2]"]
@@ -55,8 +55,8 @@ def test_it_evolves_resumes_to_the_bit_and_is_evaluated(overrides, tmp_path, cap
 
     # Its weights start another search; other weights are refused by name.
     started = tmp_path / "started"
-    call("evolution", f"run_dir={started}", *TINY, *overrides, f"start={folder / 'best.pt'}", "generations=2")
+    call("evolution", f"run_dir={started}", *TINY, *overrides, f"init_from={folder / 'best.pt'}", "generations=2")
     other = "network.hidden=[5]" if overrides is FIXED else "network.hidden=2"
     with pytest.raises(SystemExit):
-        call("evolution", f"run_dir={started}", *TINY, *overrides, other, f"start={folder / 'best.pt'}")
+        call("evolution", f"run_dir={started}", *TINY, *overrides, other, f"init_from={folder / 'best.pt'}")
     assert "give the settings of network=" in capsys.readouterr().err

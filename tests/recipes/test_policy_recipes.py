@@ -25,7 +25,7 @@ TINY = [
     "logger.figures=false",
     "eval.interval=6",
     "eval.seeds=[1000]",
-    "checkpoint.interval=3",
+    "saving.interval=3",
     "segment=2",
 ]
 BUFFER = ["buffer.size=20", "buffer.batch_size=4", "buffer.warmup_frames=32", "learner.updates=2"]

@@ -66,7 +66,7 @@ BAD = [
     ("offline", "saving.keep=0"),
     ("offline", "record.num_envs=0"),
     ("offline", "dataset=."),
-    ("evolution", "start=nowhere.pt"),
+    ("evolution", "init_from=nowhere.pt"),
     ("evolution", "strategy.population=1"),
 ]
 

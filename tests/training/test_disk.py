@@ -9,7 +9,7 @@ import torch
 from nfv_torchrl.errors import TrainingError
 from nfv_torchrl.training.disk import LINE, PICTURE, check_room
 
-CONFIG = {"checkpoint": {"keep": 2}, "logger": {"interval": 10}, "eval": {"interval": 50}}
+CONFIG = {"saving": {"keep": 2}, "logger": {"interval": 10}, "eval": {"interval": 50}}
 
 
 def parts() -> dict:

@@ -54,7 +54,7 @@ def test_a_reward_of_ones_own():
 
 def test_a_run_that_goes_astray_keeps_its_last_good_checkpoint(tmp_path, capsys):
     folder = tmp_path / "run"
-    settings = [f"run_dir={folder}", *TINY_SCENARIO, *TINY_TRAINING, "logger.interval=1000", "checkpoint.interval=1"]
+    settings = [f"run_dir={folder}", *TINY_SCENARIO, *TINY_TRAINING, "logger.interval=1000", "saving.interval=1"]
     with pytest.raises(SystemExit):
         call("dqn", *settings, "learner.lr=1e30", "learner.max_grad_norm=null")
     said = capsys.readouterr().err

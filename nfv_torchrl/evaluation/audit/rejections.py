@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nfv_torchrl.evaluation.audit.files import Request, RunFiles, Service, is_index
-from nfv_torchrl.evaluation.audit.rules import DELAY_TOLERANCE, Resource, rule_broken
+from nfv_torchrl.evaluation.audit.rules import STATED_DELAY_TOLERANCE, Resource, rule_broken
 
 REASONS = (
     "link_capacity", "vm_capacity", "delay", "step_limit", "no_feasible_action", "rejected_by_policy", "invalid_action",
@@ -62,7 +62,7 @@ class Rejections:
             raise Contradiction(f"is {tried!r}, not the steps up to the one that was refused")
         found, problems = set(), []
         tolerable = self.files.services[request.service].tolerable_delay
-        for slack in (-DELAY_TOLERANCE, DELAY_TOLERANCE):
+        for slack in (-STATED_DELAY_TOLERANCE, STATED_DELAY_TOLERANCE):
             try:
                 found.add(self._reason(_State(request, request.ingress, tolerable + slack), tried))
             except Contradiction as error:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from nfv_torchrl.evaluation.audit.files import Request, RunFiles, is_index, is_number
 from nfv_torchrl.evaluation.audit.rejections import REASONS, Contradiction, Rejections
-from nfv_torchrl.evaluation.audit.rules import DELAY_TOLERANCE, Resource, rule_broken
+from nfv_torchrl.evaluation.audit.rules import STATED_DELAY_TOLERANCE, Resource, rule_broken
 
 COST_TOLERANCE = 1e-9
 """Relative: costs are sums of the same products, in another order at most."""
@@ -28,7 +28,7 @@ class Event(NamedTuple):
     repaired: bool
 
 
-class Walk(NamedTuple):
+class ReplayedWalk(NamedTuple):
     """What an accepted request uses, as recomputed from its steps: whole units, $, ms, links."""
 
     uses: list[tuple[Resource, int]]
@@ -44,7 +44,7 @@ class Answer:
     request: Request
     accepted: bool
     reason: str | None
-    walk: Walk
+    walk: ReplayedWalk
     interrupted_at: int | None = None
 
     @property
@@ -62,7 +62,7 @@ class Replayed:
     link_used: list[int] = field(default_factory=list)
 
 
-NOTHING = Walk([], 0.0, 0.0, 0)
+NOTHING = ReplayedWalk([], 0.0, 0.0, 0)
 
 
 def replay(files: RunFiles) -> Replayed | None:
@@ -251,17 +251,17 @@ class _Replay:
                 f"{where}: rejected for {decision['reason']}, what it tried gives {' or '.join(possible)}"
             )
 
-    def _check_stated(self, where: str, request: Request, decision: dict[str, Any], walk: Walk) -> None:
+    def _check_stated(self, where: str, request: Request, decision: dict[str, Any], walk: ReplayedWalk) -> None:
         cost, delay = decision["cost"], decision["delay_ms"]
         if not is_number(cost) or not math.isclose(cost, walk.cost, rel_tol=COST_TOLERANCE, abs_tol=1e-12):
             self.problems.add(f"{where}: the cost is {cost}, the steps cost {walk.cost!r}")
-        if not is_number(delay) or abs(delay - walk.delay) > DELAY_TOLERANCE:
+        if not is_number(delay) or abs(delay - walk.delay) > STATED_DELAY_TOLERANCE:
             self.problems.add(f"{where}: the delay is {delay} ms, the steps take {walk.delay!r} ms")
         tolerable = self.files.services[request.service].tolerable_delay
-        if walk.delay > tolerable + DELAY_TOLERANCE:
+        if walk.delay > tolerable + STATED_DELAY_TOLERANCE:
             self.problems.add(f"{where}: the steps take {walk.delay!r} ms, {tolerable} ms are tolerable")
 
-    def _walk(self, where: str, request: Request, steps: Any) -> Walk:
+    def _walk(self, where: str, request: Request, steps: Any) -> ReplayedWalk:
         """Follow the steps, reserve what they use, and recompute cost and delay; stops where they make no sense."""
         service = self.files.services[request.service]
         node, placed = request.ingress, 0
@@ -296,7 +296,7 @@ class _Replay:
             self.problems.add(f"{where}: the walk ends on node {node}, not on the egress {request.egress}")
         if placed != len(service.load):
             self.problems.add(f"{where}: {placed} of {len(service.load)} functions are placed")
-        return Walk(uses, cost, delay, hops)
+        return ReplayedWalk(uses, cost, delay, hops)
 
     def _well_formed(self, where: str, steps: Any) -> Iterator[tuple[int, list[Any]]]:
         """The steps with their numbers from 1, up to the first that names no VM of the network."""

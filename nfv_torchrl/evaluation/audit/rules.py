@@ -6,7 +6,7 @@ from typing import Any
 
 from nfv_torchrl.evaluation.audit.files import Request, RunFiles
 
-DELAY_TOLERANCE = 1e-6
+STATED_DELAY_TOLERANCE = 1e-6
 """ms."""
 
 Resource = tuple[str, int, int]
