@@ -1,4 +1,4 @@
-"""The metrics of one run, all from its :class:`~nfv_torchrl.evaluation.records.RunRecord`.
+"""The metrics of one run, all from its ``nfv_torchrl.evaluation.records.RunRecord``.
 
 Each is one function, registered with its row of the table of all quantities (`nfv_torchrl.vocabulary`), from where it
 reaches files, tables, TensorBoard and docs. A metric that does not exist in the run (the mean delay when nothing was
