@@ -23,7 +23,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import csv_text
-from nfv_torchrl.evaluation.statistics import Interval, mean_interval, paired_difference
+from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
+from nfv_torchrl.evaluation.statistics import mean_interval, paired_difference
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.pool import compute
@@ -132,44 +133,29 @@ def network_rows(
     scenario = Scenario.from_config(world)
     about = {"network": name, "nodes": scenario.substrate.num_nodes, "rho": round(scenario.offered_load(), 4)}
     aar = {key: values(store.read(cell), "aar") for key, cell in cells.items()}
-    found: dict[str, Interval] = {f"aar {key}": mean_interval(sample) for key, sample in aar.items()}
+    rows = [result_row(about, key, "aar", mean_interval(sample)) for key, sample in aar.items()]
     for key in [key for key in cells if key != POLICY]:
-        found[f"aar minus {key}"] = paired_difference(aar[POLICY], aar[key])
-        found[f"cost over {key}"] = paired_cost(store, cells[POLICY], cells[key])
+        difference, cost = paired_difference(aar[POLICY], aar[key]), paired_cost(store, cells[POLICY], cells[key])
+        rows.append(result_row(about, POLICY, "aar_difference", difference, key))
+        rows.append(result_row(about, POLICY, "paired_cost", cost, key))
     if bound is not None and store.has(bound):
         for kind, by_seed in store.read(bound)["bounds"].items():
-            found[f"bound {kind}"] = mean_interval(list(by_seed.values()))
-    return [
-        {**about, "quantity": key, "mean": value.mean, "ci_low": value.low, "ci_high": value.high, "n": value.n}
-        for key, value in found.items()
-    ]
+            rows.append(result_row(about, kind, "aar_bound", mean_interval(list(by_seed.values()))))
+    return rows
 
 
 def transfer_table(rows: Sequence[Mapping[str, Any]], methods: Sequence[str], about: str) -> Table:
     """The rows as one line for each network."""
     others = [key for key in methods if key != POLICY]
-    quantities = {f"aar {key}": (f"AAR {key}", "{:.3f}") for key in methods}
-    quantities |= {f"aar minus {key}": (f"minus {key}", "{:+.3f}") for key in others}
-    quantities |= {f"cost over {key}": (f"paired cost / {key}", "{:.2f}") for key in others}
-    quantities |= {row["quantity"]: (row["quantity"], "{:.3f}") for row in rows if row["quantity"].startswith("bound")}
-    found = {(row["network"], row["quantity"]): row for row in rows}
-    lines = []
-    for network in dict.fromkeys(row["network"] for row in rows):
-        line = [network]
-        first = next(row for row in rows if row["network"] == network)
-        line += [str(first["nodes"]), f"{first['rho']:.2f}"]
-        for quantity, (_, form) in quantities.items():
-            row = found.get((network, quantity))
-            line.append("–" if row is None else show(row, form))
-        lines.append(tuple(line))
-    heads = ("network", "N", "rho", *(head for head, _ in quantities.values()))
-    return Table(f"One policy on every network: {about}", heads, tuple(lines))
-
-
-def show(row: Mapping[str, Any], form: str) -> str:
-    """A mean and the half width of its interval, if there is one."""
-    half = row["ci_high"] - row["mean"]
-    return form.format(row["mean"]) + ("" if half != half else " ± " + form.replace("+", "").format(half))
+    bounds = dict.fromkeys(row["method"] for row in rows if row["metric"] == "aar_bound")
+    columns = [
+        *(Column("aar", ".3f", key) for key in methods),
+        *(Column("aar_difference", "+.3f", POLICY, key) for key in others),
+        *(Column("paired_cost", ".2f", POLICY, key) for key in others),
+        *(Column("aar_bound", ".3f", kind) for kind in bounds),
+    ]
+    by = {"network": "", "nodes": "", "rho": ".2f"}
+    return pivot(f"One policy on every network: {about}", rows, by, columns)
 
 
 if __name__ == "__main__":

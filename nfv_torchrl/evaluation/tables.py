@@ -14,7 +14,7 @@ from nfv_torchrl.evaluation.comparison import Comparison
 from nfv_torchrl.evaluation.manifest import write_manifest
 from nfv_torchrl.evaluation.statistics import Interval
 from nfv_torchrl.files import write_atomically
-from nfv_torchrl.vocabulary import PER_SEED_COLUMNS, SUMMARY_COLUMNS, Form, Quantity, find
+from nfv_torchrl.vocabulary import PER_SEED_COLUMNS, SUMMARY_COLUMNS, TABLE, Form, Quantity, find
 
 UNDEFINED = "–"
 
@@ -143,7 +143,8 @@ def _metric_cell(comparison: Comparison, method: str, key: str, row: Quantity) -
 
 def paired_table(comparison: Comparison, reference: str) -> Table:
     """One row a method: difference of AAR to ``reference``, paired cost, share of the gap to each bound closed."""
-    columns = ("method", "AAR difference", "relative", "paired cost", *(f"gap closed: {b}" for b in comparison.bounds))
+    heads = [TABLE[name].head or name for name, _, _ in _paired(comparison, reference, reference)]
+    closed = [f"{TABLE['gap_closed'].head}: {bound}" for bound in comparison.bounds]
     rows = []
     for method in comparison.methods:
         rows.append(
@@ -154,7 +155,7 @@ def paired_table(comparison: Comparison, reference: str) -> Table:
             )
         )
     title = f"Against {reference} on the same seeds: difference of AAR [95 % confidence interval], cost ratio over the"
-    return Table(f"{title} requests both accept", columns, tuple(rows))
+    return Table(f"{title} requests both accept", ("method", *heads, *closed), tuple(rows))
 
 
 def cost_matrix(comparison: Comparison) -> Table:

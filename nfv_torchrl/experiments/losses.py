@@ -8,13 +8,15 @@ from statistics import fmean
 from typing import Any
 
 from nfv_torchrl.evaluation.figures import line_figure, save_figure, tidy_row
-from nfv_torchrl.evaluation.statistics import Interval, mean_interval, paired_difference
+from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
+from nfv_torchrl.evaluation.statistics import mean_interval, paired_difference
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.scenario.scenario import Scenario
 
 FLOOR = "random_feasible"
 """What every loss has to beat."""
+COST = "cost_per_accepted"
 
 
 def scores(runs: Sequence[Cell], store: CellStore, metric: str) -> list[float]:
@@ -33,51 +35,29 @@ def table_rows(
     if not store.has(floor):
         return []
     (lowest,) = scores([floor], store, "aar")
-    rows = []
-
-    def add(name: str, quantity: str, interval: Interval) -> None:
-        ends = {"ci_low": interval.low, "ci_high": interval.high, "n": interval.n}
-        rows.append({"loss": name, "quantity": quantity, "mean": interval.mean, **ends})
-
-    add(FLOOR, "aar", mean_interval([lowest]))
-    add(FLOOR, "cost_per_accepted", mean_interval(scores([floor], store, "cost_per_accepted")))
+    rows = [result_row({}, FLOOR, "aar", mean_interval([lowest]))]
+    rows.append(result_row({}, FLOOR, COST, mean_interval(scores([floor], store, COST))))
     for name, runs in tested.items():
         aar = scores(runs, store, "aar")
-        add(name, "aar", mean_interval(aar))
+        rows.append(result_row({}, name, "aar", mean_interval(aar)))
         if name != reference and reference in tested:
-            add(name, f"aar_minus_{reference}", paired_difference(aar, scores(tested[reference], store, "aar")))
-        add(name, f"aar_minus_{FLOOR}", mean_interval([value - lowest for value in aar]))
-        add(name, "cost_per_accepted", mean_interval(scores(runs, store, "cost_per_accepted")))
+            paired = paired_difference(aar, scores(tested[reference], store, "aar"))
+            rows.append(result_row({}, name, "aar_difference", paired, reference))
+        above = mean_interval([value - lowest for value in aar])
+        rows.append(result_row({}, name, "aar_difference", above, FLOOR))
+        rows.append(result_row({}, name, COST, mean_interval(scores(runs, store, COST))))
     return rows
 
 
 def loss_table(rows: Sequence[Mapping[str, Any]], config: Mapping[str, Any], scenario: Scenario) -> Table:
     """The rows as one line for each loss."""
-    reference = config["reference"]
-    quantities = {
-        "aar": ("AAR", "{:.4f}", "{:.4f}"),
-        f"aar_minus_{reference}": (f"minus {reference}", "{:+.4f}", "{:.4f}"),
-        f"aar_minus_{FLOOR}": (f"minus {FLOOR}", "{:+.4f}", "{:.4f}"),
-        "cost_per_accepted": ("cost/accepted $", "{:.1f}", "{:.1f}"),
-    }
-    values = {(row["loss"], row["quantity"]): row for row in rows}
-
-    def cell(name: str, quantity: str) -> str:
-        row = values.get((name, quantity))
-        if row is None:
-            return "–"
-        _, mean, half = quantities[quantity]
-        width = max(row["mean"] - row["ci_low"], row["ci_high"] - row["mean"])
-        return mean.format(row["mean"]) + ("" if math.isnan(width) else " ± " + half.format(width))
-
     title = (
         f"Losses: rho = {scenario.offered_load():.2f}, scenario {scenario.name}, N = {scenario.substrate.num_nodes}, "
         f"{config['frames']:,} frames, {config['seeds']} training seeds, {config['workloads']} workloads, "
         f"lifetimes {'seen' if scenario.observe_lifetime else 'hidden'}"
     )
-    names = dict.fromkeys(row["loss"] for row in rows)
-    lines = tuple((name, *(cell(name, quantity) for quantity in quantities)) for name in names)
-    return Table(title, ("loss", *(head for head, _, _ in quantities.values())), lines)
+    differences = [Column("aar_difference", "+.4f", reference=to) for to in (config["reference"], FLOOR)]
+    return pivot(title, rows, {"method": ""}, [Column("aar", ".4f"), *differences, Column(COST, ".1f")])
 
 
 def draw_curves(

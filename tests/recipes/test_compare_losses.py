@@ -38,14 +38,14 @@ def pretend(cells, store, *, jobs, report):
 def test_the_table_pairs_training_seeds(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(recipe("compare_losses"), "compute", pretend)
     call("compare_losses", "only=[dqn,n_step]", "workloads=2", f"output={tmp_path}")
-    rows = {(row["loss"], row["quantity"]): row for row in rows_of(tmp_path / "losses.csv")}
-    assert float(rows["dqn", "aar"]["mean"]) == pytest.approx(0.75)
+    rows = {(row["method"], row["metric"], row["reference"]): row for row in rows_of(tmp_path / "losses.csv")}
+    assert float(rows["dqn", "aar", ""]["mean"]) == pytest.approx(0.75)
     # Differences 0.02, 0.03, 0.04: mean 0.03, standard deviation 0.01, t quantile for two degrees 4.3027.
-    paired = rows["n_step", "aar_minus_dqn"]
+    paired = rows["n_step", "aar_difference", "dqn"]
     assert float(paired["mean"]) == pytest.approx(0.03)
     assert float(paired["ci_high"]) == pytest.approx(0.03 + 4.302653 * 0.01 / math.sqrt(3))
-    assert float(rows["n_step", "aar_minus_random_feasible"]["mean"]) == pytest.approx(0.18)
-    assert ("dqn", "aar_minus_dqn") not in rows
+    assert float(rows["n_step", "aar_difference", "random_feasible"]["mean"]) == pytest.approx(0.18)
+    assert ("dqn", "aar_difference", "dqn") not in rows
     text = (tmp_path / "losses.md").read_text()
     assert "| n_step | 0.7800 ± " in text and "| +0.0300 ± 0.0248 |" in text and "rho = " in text
     curve = rows_of(tmp_path / "learning_curves_value_based.csv")

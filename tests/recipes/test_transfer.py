@@ -39,7 +39,8 @@ def policy(tmp_path):
 
 def rows_of(folder):
     with (folder / "transfer.csv").open() as file:
-        return {(row["network"], row["quantity"]): row for row in csv.DictReader(file)}
+        rows = list(csv.DictReader(file))
+    return {(row["network"], row["metric"], row["reference"] or row["method"]): row for row in rows}
 
 
 def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
@@ -64,9 +65,10 @@ def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
     )
     found = rows_of(tmp_path / "out")
     # Differences 0.02, 0.03, 0.04: mean 0.03, standard deviation 0.01, t quantile for two degrees 4.3027.
-    assert float(found["paper", "aar minus greedy"]["mean"]) == pytest.approx(0.03)
-    assert float(found["paper", "aar minus greedy"]["ci_high"]) == pytest.approx(0.03 + 4.302653 * 0.01 / math.sqrt(3))
-    assert float(found["paper", "cost over greedy"]["mean"]) == pytest.approx(1.5)
+    paired = found["paper", "aar_difference", "greedy"]
+    assert float(paired["mean"]) == pytest.approx(0.03)
+    assert float(paired["ci_high"]) == pytest.approx(0.03 + 4.302653 * 0.01 / math.sqrt(3))
+    assert float(found["paper", "paired_cost", "greedy"]["mean"]) == pytest.approx(1.5)
     text = (tmp_path / "out" / "transfer.md").read_text()
     assert "| paper | 10 | 0.85 | 0.800 ± 0.000 | 0.830 ± 0.025 | +0.030 ± 0.025 | 1.50 |" in text
 
@@ -87,15 +89,14 @@ def test_for_real_on_other_sizes_and_not_twice(tmp_path, policy, monkeypatch, ca
     ]
     call("transfer", *arguments, "bounds=true")
     found = rows_of(tmp_path / "out")
-    assert {network: found[network, "aar checkpoint"]["nodes"] for network in ("six", "real")} == {
+    assert {network: found[network, "aar", "checkpoint"]["nodes"] for network in ("six", "real")} == {
         "six": "6",
         "real": "11",
     }
     for network in ("six", "real"):
         for method in ("greedy", "myopic_optimal", "checkpoint"):
-            assert (
-                0 < float(found[network, f"aar {method}"]["mean"]) <= float(found[network, "bound hindsight"]["mean"])
-            )
+            bound = float(found[network, "aar_bound", "hindsight"]["mean"])
+            assert 0 < float(found[network, "aar", method]["mean"]) <= bound
     done = []
     monkeypatch.setattr(recipe("transfer"), "print_progress", lambda cell, at_work: done.append(cell))
     call("transfer", *arguments, "bounds=true")
@@ -118,7 +119,7 @@ def test_loads_and_draws_of_a_network(tmp_path, policy):
         f"output={tmp_path / 'out'}",
     )
     found = rows_of(tmp_path / "out")
-    light, heavy = (found[f"five rho {rho}", "aar greedy"] for rho in ("0.5", "20"))
+    light, heavy = (found[f"five rho {rho}", "aar", "greedy"] for rho in ("0.5", "20"))
     assert (light["rho"], heavy["rho"]) == ("0.5", "20.0") and float(heavy["mean"]) < float(light["mean"])
     text = (tmp_path / "out" / "transfer.md").read_text()
     assert "2 scenario seeds with a workload seed each" in text and "colocation on" in text
