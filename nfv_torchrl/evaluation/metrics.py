@@ -174,11 +174,6 @@ def per_slot_cost(record: RunRecord) -> np.ndarray:
     return running_total(record, np.where(record.accepted, record.cost, 0.0))
 
 
-def per_slot_running(record: RunRecord) -> np.ndarray:
-    """Number of running requests after each slot's arrivals, int64 [T]."""
-    return running_total(record, np.ones(record.num_requests, np.int64))
-
-
 def running_total(record: RunRecord, amount: np.ndarray) -> np.ndarray:
     """Sum of ``amount`` [R] over the requests that run after each slot's arrivals, [T], of ``amount``'s dtype.
 

@@ -32,10 +32,6 @@ class Interval:
         """Half the interval's length; for an interval that is not symmetric, the longer of its two arms."""
         return max(self.mean - self.low, self.high - self.mean)
 
-    def excludes(self, value: float) -> bool:
-        """Whether the interval is defined and ``value`` lies outside it."""
-        return bool(value < self.low or value > self.high)
-
 
 def mean_interval(values: Sequence[float] | np.ndarray, confidence: float = CONFIDENCE) -> Interval:
     """Mean of ``values`` [n] and its Student t interval.

@@ -8,6 +8,7 @@ import networkx as nx
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.config import SubstrateConfig
 from nfv_torchrl.scenario.limits import MAX_NODES, PAIR_BYTES, check_memory, random_graph_parts, would_take
 from nfv_torchrl.scenario.resources import ResourceRanges, draw_links, draw_vms
 from nfv_torchrl.scenario.streams import Stream, generator
@@ -18,7 +19,9 @@ LARGEST_DEGREE = 1e9
 """Far beyond a complete graph of the largest network."""
 
 
-def draw_random_substrate(nodes: int, seed: int, *, mean_degree: float = 4.0, **ranges: Any) -> Substrate:
+def draw_random_substrate(
+    nodes: int, seed: int, *, mean_degree: float = SubstrateConfig.mean_degree, **ranges: Any
+) -> Substrate:
     """A connected random network of ``nodes`` nodes (the paper's "Simulation Results": N from 10 to 100).
 
     The graph has round(mean_degree * N / 2) links, at least N - 1 and at most N (N - 1) / 2, and comes from the

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.config import Range, SubstrateConfig
 from nfv_torchrl.scenario.limits import MAX_VMS
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 from nfv_torchrl.settings.values import refuse
-
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -32,12 +31,12 @@ class ResourceRanges:
         ScenarioError: an interval is empty, not finite, or reaches zero and below.
     """
 
-    vms: tuple[int, int] = (1, 6)
-    vm_capacity: Range = (200.0, 1200.0)
-    vm_unit_cost: Range = (25.0, 75.0)
-    link_capacity: Range = (1600.0, 6400.0)
-    link_delay: Range = (5.0, 15.0)
-    link_unit_cost: Range = (25.0, 75.0)
+    vms: tuple[int, int] = (SubstrateConfig.vms_min, SubstrateConfig.vms_max)
+    vm_capacity: Range = SubstrateConfig.vm_capacity
+    vm_unit_cost: Range = SubstrateConfig.vm_unit_cost
+    link_capacity: Range = SubstrateConfig.link_capacity
+    link_delay: Range = SubstrateConfig.link_delay
+    link_unit_cost: Range = SubstrateConfig.link_unit_cost
 
     def __post_init__(self) -> None:
         for field in fields(self):

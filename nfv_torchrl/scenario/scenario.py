@@ -79,17 +79,17 @@ class Scenario:
     seed: int
     substrate: Substrate
     catalogue: ServiceCatalogue
-    horizon: int = 1000
-    warmup: int = 0
-    arrival_rate: float = 10.0
-    mean_lifetime: float = 600.0
-    endpoints: str = "catalogue"
+    horizon: int = ScenarioConfig.horizon
+    warmup: int = ScenarioConfig.warmup
+    arrival_rate: float = ScenarioConfig.arrival_rate
+    mean_lifetime: float = ScenarioConfig.mean_lifetime
+    endpoints: str = ScenarioConfig.endpoints
     endpoint_pairs: np.ndarray | None = None
-    colocation: bool = False
-    mask: str = "adjacency"
-    admission_control: bool = False
-    observe_lifetime: bool = False
-    max_steps: int = 100
+    colocation: bool = ScenarioConfig.colocation
+    mask: str = ScenarioConfig.mask
+    admission_control: bool = ScenarioConfig.admission_control
+    observe_lifetime: bool = ScenarioConfig.observe_lifetime
+    max_steps: int = ScenarioConfig.max_steps
     failures: FailureModel = field(default_factory=FailureModel)
     workload_path: str | None = None
 

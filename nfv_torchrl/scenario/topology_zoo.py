@@ -13,6 +13,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.attributes import DRAWN, FileNumbers, read_numbers, some
+from nfv_torchrl.scenario.config import SubstrateConfig
 from nfv_torchrl.scenario.file_vms import file_vms
 from nfv_torchrl.scenario.graph_files import SUFFIXES, GraphFile, read_graph_file
 from nfv_torchrl.scenario.links import DIRECTED, Links, merge_links, pair_arcs
@@ -37,8 +38,8 @@ def read_topology(
     path: str | os.PathLike[str],
     seed: int,
     *,
-    fibre_km_per_ms: float = 200.0,
-    detour: float = 1.0,
+    fibre_km_per_ms: float = SubstrateConfig.fibre_km_per_ms,
+    detour: float = SubstrateConfig.detour,
     largest_component: bool = False,
     directed: str = "pairs",
     attributes: Mapping[str, Any] | None = None,

@@ -24,7 +24,7 @@ import toy
 from handmade import first_fit
 from toy import DUO, SOLO
 
-from nfv_torchrl.evaluation.metrics import compute_metrics, paired_cost, per_slot_cost, per_slot_running
+from nfv_torchrl.evaluation.metrics import compute_metrics, paired_cost, per_slot_cost, running_total
 from nfv_torchrl.evaluation.records import RunRecord
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.simulator.reasons import Reason
@@ -97,7 +97,7 @@ def test_every_metric():
 def test_slot_by_slot():
     record = three_slots()
     assert per_slot_cost(record).tolist() == [105, 55, 95]
-    assert per_slot_running(record).tolist() == [2, 1, 1]
+    assert running_total(record, np.ones(4, np.int64)).tolist() == [2, 1, 1]
 
 
 def test_interrupted_request_stays_accepted_but_runs_no_more():
