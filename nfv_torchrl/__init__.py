@@ -1,4 +1,4 @@
-"""Online service provisioning in NFV-enabled networks: learn it with TorchRL, compare it with the classics.
+"""Online service provisioning in NFV-enabled networks: learn it with TorchRL, compare it with heuristics and bounds.
 
 What most scripts need can be imported from here; each name is loaded from its own module when it is first used, so that
 ``import nfv_torchrl`` by itself is quick and needs no torch::

@@ -33,7 +33,7 @@ LAST_EPISODE = 2**53
 
 
 class NFVEnv(EnvBase):
-    """B networks that answer one request after the other, a step of Algorithm 3 per action.
+    """B networks that answer one request after the other. Each action is a step of Algorithm 3.
 
     An episode is one horizon of T slots; ``done`` marks its end, ``request_done`` the end of a request. Environment b's
     requests depend on (seed, b, episode) alone, neither on B nor on the actions.
@@ -93,7 +93,7 @@ class NFVEnv(EnvBase):
 
     @property
     def num_actions(self) -> int:
-        """Actions with ``reject``, the last one."""
+        """The number of actions, with ``reject``, which is the last."""
         return self.simulator.num_actions
 
     def _make_specs(self) -> None:

@@ -27,7 +27,7 @@ ENV_ID = "nfv_torchrl/NFV-v0"
 
 
 class NFVGymEnv(gymnasium.Env[np.ndarray, np.int64]):
-    """One network that answers one request after the other, a step of Algorithm 3 per action.
+    """One network that answers one request after the other. Each action is a step of Algorithm 3.
 
     The observation (float32 [P], in [0, 1]) and the actions (2 N V and ``reject``, the last) are those of ``NFVEnv``,
     as are the requests: with the same seed, it is environment 0 of an ``NFVEnv``. An episode is one horizon; at its end
@@ -87,7 +87,7 @@ class NFVGymEnv(gymnasium.Env[np.ndarray, np.int64]):
         return self._observation(), reward, done, False, self._info()
 
     def action_masks(self) -> np.ndarray:
-        """The valid actions now, bool [2 N V + 1]; what MaskablePPO asks for. At least one is valid."""
+        """The actions that are valid now, bool [2 N V + 1], as MaskablePPO asks for them. At least one is valid."""
         return self.simulator.world.seen.mask[0].copy()
 
     def _observation(self) -> np.ndarray:

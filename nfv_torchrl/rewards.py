@@ -1,4 +1,4 @@
-"""Rewards: one small function each, of what the last step brought.
+"""Rewards. Each is a small function of what the last step brought.
 
 A reward is any callable ``reward(outcome, scale) -> float64 [B]``. ``outcome`` maps the names in
 ``nfv_torchrl.simulator.state.Outcome`` to float64 [B]; ``scale`` holds the costs that make weights plain numbers. In a

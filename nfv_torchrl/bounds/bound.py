@@ -1,4 +1,4 @@
-"""Upper bounds on how many requests any method can accept, from a linear programme. docs/bounds.md has the proofs.
+"""Upper bounds on how many requests any method can accept, from a linear programme. Proofs are in docs/bounds.md.
 
 ``hindsight_bound`` knows the whole workload, lifetimes included; ``blind_bound`` bounds what a method that does not see
 lifetimes can expect. Both let a request in by fractions and embed nothing: they only ask that, in every slot, what
@@ -129,7 +129,7 @@ def _known_mean(scenario: Scenario, mean_lifetime: float | None) -> float:
 def hindsight_least_cost(
     scenario: Scenario, workload: Workload, accepted: float, failures: FailureTimeline | None = None
 ) -> float:
-    """$ (sum of phi, eq. main_problem) that any method spends at least when it accepts ``accepted`` requests.
+    """The least cost in $ (sum of phi, eq. main_problem) of any method that accepts ``accepted`` requests.
 
     Every request is charged its cheapest embedding with delay and capacities ignored, so this is far from tight under
     load.

@@ -16,7 +16,7 @@ BOUNDS = {"hindsight": hindsight_bound, "blind": blind_bound}
 
 
 def aar_bounds(scenario: Scenario, seed: int) -> dict[str, float]:
-    """What AAR on the workload of ``seed`` cannot exceed, by name of the bound.
+    """Upper bounds on AAR on the workload of ``seed``, by name of the bound.
 
     ``hindsight`` knows all requests in advance. ``blind`` does not know lifetimes: it is there where methods do not see
     them either, and where they are drawn, since it needs to know from what.

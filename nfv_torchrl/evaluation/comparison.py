@@ -1,4 +1,4 @@
-"""Several methods on the same requests, seed by seed, and what can be said about their differences."""
+"""Several methods on the same requests, seed by seed, and the statistics of their differences."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Comparison:
     _records: dict[str, dict[int | None, RunRecord]] = field(default_factory=dict, repr=False)
 
     def add(self, record: RunRecord, metrics: dict[str, float] | None = None) -> dict[str, float]:
-        """Take in a run and return its metrics (computed unless given).
+        """Add a run and return its metrics (computed unless given).
 
         Raises:
             ScenarioError: another method met other requests under the same seed.
@@ -54,7 +54,7 @@ class Comparison:
         return metrics
 
     def add_bound(self, name: str, seed: int | None, aar: float) -> None:
-        """Take in an upper bound on the AAR of the workload of ``seed``."""
+        """Add an upper bound on the AAR of the workload of ``seed``."""
         self.bounds.setdefault(name, {})[seed] = aar
 
     def scenario_of(self, method: str) -> Scenario:
@@ -100,7 +100,7 @@ class Comparison:
         return mean_interval(list(self.bounds[name].values()))
 
     def gap_closed(self, method: str, bound: str) -> Interval | None:
-        """How much of the way from `myopic_optimal` to the bound ``method`` goes: a ratio of means over seeds.
+        """The share of the gap from `myopic_optimal` to the bound that ``method`` closes: a ratio of means over seeds.
 
         None where there is no gap to close (or no `myopic_optimal` to start from).
         """

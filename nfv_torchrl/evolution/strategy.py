@@ -46,7 +46,7 @@ class Strategy:
 
     @property
     def generation(self) -> int:
-        """Generations told."""
+        """Number of finished generations."""
         return len(self._fitness)
 
     @property
@@ -56,7 +56,7 @@ class Strategy:
 
     @property
     def mean(self) -> np.ndarray:
-        """Centre of the search, float64 [P]: what it would call its answer now."""
+        """Centre of the search, float64 [P]: its best answer so far."""
         return self._search.mean.copy()
 
     @property

@@ -29,7 +29,7 @@ class Task:
 
     @classmethod
     def of(cls, scenario: Scenario, seed: int, *key: int) -> Task:
-        """The horizon of workload seed ``seed``, split further by ``key`` (evaluations use none)."""
+        """The horizon of workload seed ``seed``. ``key`` splits the seed further; evaluations use none."""
         return cls(scenario, scenario.workload(seed, *key), scenario.failure_timeline(seed, *key))
 
 

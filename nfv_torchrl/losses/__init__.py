@@ -1,4 +1,4 @@
-"""How it learns: one file a loss. A recipe's yaml names the class by ``_target_``; there is no registry."""
+"""Losses: how a network learns. Each has its own file. A yaml names the class by ``_target_``; there is no registry."""
 
 from nfv_torchrl.losses.a2c import A2C
 from nfv_torchrl.losses.across_requests import AcrossRequests

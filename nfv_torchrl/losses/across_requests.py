@@ -144,10 +144,10 @@ class AcrossRequests(MaskedLoss):
         return TensorDict({"loss": loss, "reward_rate": self.rate.mean(), "td_error": error.abs().mean()})
 
     def collected(self, after: TensorDictBase) -> None:
-        """Told of every batch that ``prepare`` gets, by what it has under ``next``: for rates learned from it."""
+        """Called with what every batch of ``prepare`` has under ``next``. Override it to learn rates from that."""
 
     def learn_rate(self, error: Tensor, requests: Tensor) -> None:
-        """Told of every error y - Q, float32 [batch, 1], and its ``requests`` [batch, M]: for rates learned from it."""
+        """Called with the errors y - Q, float32 [batch, 1], and ``requests`` [batch, M]. Override it to learn rates."""
 
     def _target(self, tensordict: TensorDictBase) -> Tensor:
         """y, float32 [batch, 1]."""

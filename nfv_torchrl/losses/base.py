@@ -1,4 +1,4 @@
-"""What a recipe expects of a loss, and what the losses written here share."""
+"""What recipes expect of a loss, and what the losses of this package share."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Acting:
 
 
 class MaskedLoss(Acting, LossModule):
-    """What the losses written here share: keys, the transitions they store, and networks called by their parameters.
+    """What the losses of this package share: keys, stored transitions, and calls of networks with their parameters.
 
     A subclass hands its networks and its actor over by ``adopt``.
 

@@ -13,7 +13,7 @@ from nfv_torchrl.settings.values import AtLeastOne, Count, Distance, Share
 
 
 class CentredDQN(AcrossRequests):
-    r"""Double Q-learning with a discount per request and the reward's running mean taken off at its end.
+    r"""Double Q-learning with a discount per request. At a request's end the running mean of rewards is subtracted.
 
     $$
     y = r - e \bar r_m + \gamma^e (1 - d') \bar Q(s', a^*), \quad

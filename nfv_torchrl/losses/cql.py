@@ -13,7 +13,7 @@ from nfv_torchrl.settings.values import NotNegative, Share, StopKey
 
 
 class CQL(MaskedLoss):
-    r"""Deep Q-learning that holds down the values of valid actions that were not recorded.
+    r"""Deep Q-learning that keeps the values of valid actions low if they were not recorded.
 
     $$
     \tfrac12 \big(r + \gamma (1 - d') \bar Q(s', a^*) - Q(s, a)\big)^2

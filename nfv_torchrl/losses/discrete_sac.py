@@ -19,7 +19,7 @@ from nfv_torchrl.settings.values import Positive, Share, StopKey
 
 
 class DiscreteSAC(MaskedLoss):
-    r"""A stochastic policy, two Q-networks and a learned temperature, every expectation over valid actions.
+    r"""A stochastic policy, two Q-networks and a learned temperature. All expectations are over valid actions.
 
     $$
     \begin{aligned}

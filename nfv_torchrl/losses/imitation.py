@@ -1,4 +1,4 @@
-"""Behaviour cloning: to do what was recorded."""
+"""Behaviour cloning: learning to repeat recorded decisions."""
 
 from __future__ import annotations
 

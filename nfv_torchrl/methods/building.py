@@ -1,4 +1,4 @@
-"""What a policy file may build: classes of a list, from plain arguments. Whoever wrote the file may be a stranger.
+"""What a policy file may build: classes of a list, from plain arguments. A stranger may have written the file.
 
 A file names a class and its arguments. The name is looked up in a table of this project's classes, or, for packages
 that the user trusts, in the module that defines it. Nothing else in the file is resolved, called or imported.

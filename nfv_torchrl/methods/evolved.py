@@ -67,11 +67,11 @@ class Evolvable(nn.Module):
         return other
 
     def player(self) -> Player:
-        """Its compiled play."""
+        """The policy as a compiled player."""
         raise NotImplementedError
 
     def settings(self, scenario: Scenario) -> Scenario:
-        """The scenario as this policy runs it."""
+        """The scenario with the settings that this policy needs."""
         raise NotImplementedError
 
     def method(self, name: str) -> Method:
@@ -98,7 +98,7 @@ class PricePolicy(Evolvable):
         return LearnedPrices(self.network.weights())
 
     def settings(self, scenario: Scenario) -> Scenario:
-        """Refusals are its own decisions."""
+        """The scenario with ``admission_control``, since refusals are decisions of the policy."""
         return scenario.replace(admission_control=True)
 
     def method(self, name: str) -> PlannerMethod:
@@ -107,7 +107,7 @@ class PricePolicy(Evolvable):
 
 
 class CandidatePolicy(Evolvable):
-    """The candidate network step by step, its highest score acts; ``reject`` is one of its candidates.
+    """The candidate network acts step by step and takes the highest score. ``reject`` is one of its candidates.
 
     Args:
         network: factory of a ``CandidateNetwork`` with ReLU or Tanh layers.

@@ -1,4 +1,4 @@
-"""Trained policies as files, and back as methods that can be evaluated."""
+"""Trained policies: written to files, and read back as methods that can be evaluated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What learns: Q-networks. A network says which keys it reads and which parts of the observation they come from."""
+"""Q-networks. A network says which keys it reads and which parts of the observation provide them."""
 
 from nfv_torchrl.networks.base import NetworkFactory, QNetwork, Sizes
 from nfv_torchrl.networks.candidate import CandidateNetwork

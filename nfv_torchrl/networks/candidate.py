@@ -1,4 +1,4 @@
-"""A network that scores each valid action by the same weights, whatever the size of the substrate."""
+"""A network that scores each valid action with the same weights, for substrates of any size."""
 
 from __future__ import annotations
 

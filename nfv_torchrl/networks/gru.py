@@ -1,4 +1,4 @@
-"""A Q-network with memory: what it saw of earlier steps, and of earlier requests, goes into its values."""
+"""A Q-network with memory: its values depend on earlier steps and earlier requests, too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A network that prices VMs and links and judges requests, for the exact search (``planners/learned_prices.py``)."""
+"""A network that sets prices of VMs and links and refuses requests, for the exact search of learned prices."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ class PriceHead(nn.Module):
         self.out = nn.Parameter(torch.zeros(hidden))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Values."""
+        """The values of the function."""
         x = torch.cat([x, torch.ones_like(x[..., :1])], -1)
         return x @ self.linear + torch.tanh(x @ self.hidden.T) @ self.out
 
 
 class PriceNetwork(nn.Module):
-    """Prices of VMs and links and the refusal of requests, the same weights for all of them on networks of any size.
+    """Prices of VMs and links and the refusal of requests, with the same weights on networks of any size.
 
     Its inputs are ``VmFeatures``, ``LinkFeatures`` and ``AdmitFeatures`` of ``planners/learned_prices.py``. At
     first all outputs are zero: no prices, nothing refused.

@@ -1,4 +1,4 @@
-"""NFVdeep (Xiao et al., IWQoS 2019): a policy places one function a decision, routes and VMs follow."""
+"""NFVdeep (Xiao et al., IWQoS 2019): each decision places one function on a node; routes and VMs follow from that."""
 
 from nfv_torchrl.nfvdeep.env import NFVdeepEnv
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner

@@ -72,7 +72,7 @@ class NFVdeepEnv(NFVEnv):
 
     @property
     def num_actions(self) -> int:
-        """Nodes, and to refuse, the last one."""
+        """The number of nodes, and one more for refusing."""
         return self.drafts.mask.shape[1]
 
     def _make_specs(self) -> None:
@@ -101,7 +101,7 @@ class NFVdeepEnv(NFVEnv):
             begin_env(self.simulator.world, self.planner.options, self.drafts, b)
 
     def state_dict(self, *args, **kwargs) -> dict:
-        """As of ``NFVEnv``, with the plans under construction."""
+        """As that of ``NFVEnv``, and the plans under construction."""
         drafts = {name: torch.from_numpy(array.copy()) for name, array in self.drafts._asdict().items()}
         return super().state_dict(*args, **kwargs) | {"drafts": drafts}
 

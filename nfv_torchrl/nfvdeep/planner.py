@@ -73,7 +73,7 @@ class NFVdeepPlanner(Planner):
         )
 
     def follow(self, actor: TensorDictModuleBase) -> NFVdeepPlanner:
-        """Plan by ``actor`` from now on."""
+        """Use ``actor`` for planning from now on."""
         self.actor = actor
         return self
 

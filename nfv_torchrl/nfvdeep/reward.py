@@ -1,4 +1,4 @@
-"""What NFVdeep earns: income of an accepted request less the cost of its embedding."""
+"""The reward of NFVdeep: income of an accepted request less the cost of its embedding."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Profit:
         self.markup, self.relative = markup, relative
 
     def prepare(self, simulator: Simulator) -> None:
-        """Take unit prices and services, and which environment has which substrate, from ``simulator``."""
+        """Read unit prices, services and each environment's substrate from ``simulator``."""
         tables = simulator.tables
         vms = _mean_where(tables.vm_unit_cost, tables.vm_capacity > 0)
         links = _mean_where(tables.link_unit_cost, tables.link_capacity > 0)

@@ -1,4 +1,4 @@
-"""What a controller sees beside the flat observation and the mask: one class per part, composed in ``NFVEnv``."""
+"""Parts of the observation beside the flat observation and the mask. ``NFVEnv`` puts them together."""
 
 from nfv_torchrl.observations.base import ObservationPart, read_observation
 from nfv_torchrl.observations.candidates import CandidateObservation

@@ -1,4 +1,4 @@
-"""The interface of a part of the observation, and the whole of it."""
+"""The interface of a part of the observation, and how parts make the whole."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ObservationPart(Protocol):
         ...
 
     def read(self, simulator: Simulator) -> dict:
-        """Every key's value now, in tensors that later steps do not write into."""
+        """The present value of every key, in tensors that later steps do not write into."""
         ...
 
 

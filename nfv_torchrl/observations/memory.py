@@ -1,4 +1,4 @@
-"""What a policy hands to itself from one step to the next."""
+"""What a policy passes on to its next step."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class MemoryObservation:
             self._kept = written.detach().cpu().masked_fill(done, 0.0)
 
     def forget(self, rows: np.ndarray, batch: int) -> None:
-        """Zeros for the environments ``rows`` of ``batch``."""
+        """Set the memory of the environments ``rows`` to zeros."""
         self._values(batch)[torch.from_numpy(rows)] = 0.0
 
     def state_dict(self) -> dict:

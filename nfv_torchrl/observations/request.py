@@ -1,4 +1,4 @@
-"""The request in hand, in plain numbers."""
+"""The current request, in plain numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Planners: from one request and what the network offers to a whole embedding, as actions of the environment."""
+"""Planners: each answers a request with a whole embedding, as actions of the environment."""
 
 from nfv_torchrl.planners.base import CompiledPlanner, Planner, over_rows
 from nfv_torchrl.planners.greedy import GreedyPlanner

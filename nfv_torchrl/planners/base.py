@@ -27,7 +27,7 @@ class Planner:
     """
 
     def prepare(self, world: World) -> None:
-        """Called before a run: the place to allocate. Nothing by default."""
+        """Called before a run. Allocate memory here. Does nothing by default."""
 
     def plan(self, world: World, b: int, plan: np.ndarray) -> int:
         """Plan the request that environment ``b`` is at.
@@ -93,7 +93,7 @@ class CompiledPlanner(Planner):
         self._tables: Tables | None = None
 
     def prepare(self, world: World) -> None:
-        """Allocate what plans on the networks of ``world`` need, unless that has been done."""
+        """Allocate what planning on the networks of ``world`` needs, unless that is done already."""
         if self._tables is not world.tables:
             self._tables, self.own = world.tables, self.make(world.tables)
 
@@ -112,5 +112,5 @@ class CompiledPlanner(Planner):
         raise NotImplementedError
 
     def grow(self, tables: Tables) -> Any:
-        """The same with more room."""
+        """The same with more memory."""
         raise NotImplementedError

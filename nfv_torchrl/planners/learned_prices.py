@@ -113,7 +113,7 @@ class Measures(NamedTuple):
 
 
 class LearnedScratch(NamedTuple):
-    """What planning works with; one for each thread."""
+    """Scratch memory of the planner, one for each thread."""
 
     weights: PriceWeights
     measures: Measures

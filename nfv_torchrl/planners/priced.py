@@ -29,7 +29,7 @@ class PriceRule(NamedTuple):
 
 
 class PricedScratch(NamedTuple):
-    """What ``priced`` works with; one for each thread."""
+    """Scratch memory of ``priced``, one for each thread."""
 
     rule: PriceRule
     search: Scratch
@@ -63,7 +63,7 @@ def plan_priced(world, b, scratch, plan):
 
 
 class PricedPlanner(CompiledPlanner):
-    """Cheapest embedding at prices that rise with use, and optionally refusal of what is too dear.
+    """The cheapest embedding at prices that rise with use. It can also refuse requests that are too dear.
 
     Args:
         price: p, $ per unit that a full resource costs above its unit cost. The default was tuned without refusal.

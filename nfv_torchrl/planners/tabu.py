@@ -35,7 +35,7 @@ PENALTY = 1e6
 
 
 class TabuScratch(NamedTuple):
-    """What ``tabu`` works with; one for each thread."""
+    """Scratch memory of ``tabu``, one for each thread."""
 
     placing: Placing
     listed: np.ndarray  # int64 [tenure, 3]: (function, VM, -1) or (-1, -1, path), oldest overwritten

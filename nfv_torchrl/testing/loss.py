@@ -1,4 +1,4 @@
-"""``check_loss``: does a loss keep to the contract of ``RequestLoss``?"""
+"""``check_loss``: does a loss do what ``RequestLoss`` promises?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``check_observation``: does a part of the observation keep to the contract of ``ObservationPart``?"""
+"""``check_observation``: does a part of the observation do what ``ObservationPart`` promises?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``check_reward``: does a reward keep to the contract of ``nfv_torchrl.rewards``?"""
+"""``check_reward``: does a reward do what ``nfv_torchrl.rewards`` promises?"""
 
 from __future__ import annotations
 

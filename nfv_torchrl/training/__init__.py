@@ -1,1 +1,1 @@
-"""What recipes share: exploration schedules, checkpoints, logging, seeds. The loops themselves are in ``recipes/``."""
+"""What recipes share: exploration schedules, checkpoints, logging and seeds. The loops are in ``recipes/``."""

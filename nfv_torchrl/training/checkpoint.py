@@ -1,4 +1,4 @@
-"""Checkpoints of a run: the last few are kept, and a resumed run goes on from the newest that is whole."""
+"""Checkpoints of a run. The last few are kept, and a resumed run continues from the newest complete one."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class CheckpointFolder:
         return [path for _, path in sorted((int(match[1]), path) for match, path in matches if match)]
 
     def save(self, frames: int, content: dict[str, Any]) -> Path:
-        """Write a checkpoint and drop those that are too old."""
+        """Write a checkpoint and delete those that are too old."""
         path = save_file(self.folder / f"checkpoint_{frames:012d}.pt", content)
         for old in self.files()[: -self.keep]:
             old.unlink()
         return path
 
     def load_newest(self) -> tuple[Path, dict[str, Any]]:
-        """The newest checkpoint that is whole. A damaged one is named in a warning and the one before it used.
+        """The newest complete checkpoint. A warning names a damaged one, and the one before it is used.
 
         Raises:
             CheckpointError: there is none.

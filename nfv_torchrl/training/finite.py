@@ -15,7 +15,7 @@ KEPT = "the last checkpoint and best.pt are from before"
 
 
 def check_learning(learning: Mapping[str, Any], progress: Any) -> None:
-    """Look at the losses and the gradient norm of an iteration's last update: what went wrong before shows there, too.
+    """Check the losses and gradient norm of an iteration's last update; earlier faults show there, too.
 
     Raises:
         TrainingError: one of them is not finite.
@@ -29,7 +29,7 @@ def check_learning(learning: Mapping[str, Any], progress: Any) -> None:
 
 
 def check_weights(module: nn.Module, name: str, progress: Any) -> None:
-    """What is to be written or judged has to be finite.
+    """Refuse weights that are not finite before they are written or evaluated.
 
     Raises:
         TrainingError: a weight of ``module`` is not.

@@ -1,4 +1,4 @@
-"""How far a run is, and how fast."""
+"""How far a run is, and how fast it goes."""
 
 from __future__ import annotations
 

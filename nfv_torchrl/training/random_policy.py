@@ -1,4 +1,4 @@
-"""A uniformly random masked policy: what a collector runs before anything has been learnt, and in benchmarks."""
+"""A uniformly random masked policy: what a collector runs before anything has been learned, and in benchmarks."""
 
 from __future__ import annotations
 

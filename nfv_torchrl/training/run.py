@@ -68,7 +68,7 @@ class RunFolder:
         self._lock = self._lock_older() if contents(path) else None
 
     def open(self) -> None:
-        """Take the folder: a resumed run's is cleaned of what a kill left in it, otherwise an older run is renamed."""
+        """Take the folder. When resuming, what a kill left in it is removed; otherwise an older run is renamed."""
         if self.resume:
             remove_leftovers(self.path)
             return
@@ -169,7 +169,7 @@ class RunFolder:
             state["rng"].load_state_dict(self._random_numbers)
 
     def print_ending(self, *, interrupted: bool) -> None:
-        """Say where things are and how to go on."""
+        """Print where results are and how to continue."""
         if interrupted:
             where = shlex.quote(f"run_dir={quote(self.path) if re.search(_NOT_PLAIN, str(self.path)) else self.path}")
             print(f"\nStopped and saved. Go on with the same command and: {where} resume=true")

@@ -28,7 +28,7 @@ class TrainingWindow:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Start again from zero."""
         kinds = len(self.services)
         self.sums = torch.zeros(len(_OF_REQUESTS + _OF_SLOTS), dtype=torch.float64)
         self.interrupted = torch.zeros((), dtype=torch.float64)

@@ -35,7 +35,7 @@ UNEXPECTED = (
     ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError, MemoryError, OSError,
     csv.Error,
 )  # fmt: skip
-"""What files that nobody thought of may cause: a problem of this folder, while others are audited still."""
+"""Errors that unforeseen files may cause: each is a problem of its folder, and the others are still audited."""
 
 
 def audit_run(folder: str | os.PathLike[str]) -> AuditReport:
