@@ -6,17 +6,15 @@ import itertools
 
 import numpy as np
 import pytest
-import torch
 import toy
-from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.nn import TensorDictModule
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.audit import audit_run
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import MOST_TOGETHER, run_method, scenario_for
-from nfv_torchrl.methods import PlannerMethod, PolicyMethod, RandomMethod, methods_from_config
-from nfv_torchrl.observations import RequestObservation
+from nfv_torchrl.methods import PlannerMethod, PolicyMethod, RandomMethod
 from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator.reasons import Reason
@@ -44,21 +42,6 @@ def methods():
         PlannerMethod(GreedyPlanner(), name="greedy"),
         PlannerMethod(MyopicPlanner(), name="myopic_optimal"),
     ]
-
-
-class RejectAll:
-    """A user's own method."""
-
-    name, decides_admission, mask, one_hot = "reject_all", True, None, False
-
-    def __init__(self, scenario=None):
-        self.scenario = scenario
-
-    def prepare(self, simulator, seeds):
-        pass
-
-    def act(self, simulator):
-        return np.full(simulator.batch_size, simulator.num_actions - 1)
 
 
 def assert_same_decisions(first, second):
@@ -175,39 +158,6 @@ def test_steps_are_walks_with_functions_in_order():
         assert record.hops[r] == sum(a != b for a, b in itertools.pairwise(route))
 
 
-class Counter(TensorDictModuleBase):
-    """Takes the first valid action and counts its steps in a state that it is given back."""
-
-    in_keys, out_keys = ["action_mask"], ["action", ("next", "count")]
-
-    def __init__(self):
-        super().__init__()
-        self.counts = []
-
-    def forward(self, tensordict):
-        count = tensordict.get("count", torch.zeros(tensordict.batch_size)) + 1
-        self.counts.append(int(count[0]))
-        return tensordict.update({"action": tensordict["action_mask"].long().argmax(-1), "next": {"count": count}})
-
-
-def test_a_policy_sees_what_the_environment_shows():
-    seen = {}
-
-    def first_valid(mask, observation, egress):
-        seen.update(mask=mask, observation=observation, egress=egress)
-        return mask.long().argmax(-1)
-
-    keys = ["action_mask", "observation", ("request", "egress")]
-    actor = TensorDictModule(first_valid, in_keys=keys, out_keys=["action"])
-    scenario = small_scenario(horizon=4)
-    records = run_method(scenario, PolicyMethod(actor, [RequestObservation()], one_hot=True), [0, 1])
-    assert seen["mask"].shape == (2, 2 * 6 * 2 + 1) and seen["egress"].shape == (2,)
-    plain = PolicyMethod(TensorDictModule(lambda mask: mask.long().argmax(-1), ["action_mask"], ["action"]))
-    for record, other in zip(records, run_method(scenario, plain, [0, 1]), strict=True):
-        assert_same_decisions(record, other)
-        assert record.seconds > 0 and np.isfinite(record.decisions_per_second)
-
-
 def test_decisions_are_timed_by_the_clock_that_is_given():
     """A clock that ticks once a reading: one second a decision, whatever it took; shared out by requests."""
     ticks = iter(range(10**6))
@@ -220,17 +170,6 @@ def test_decisions_are_timed_by_the_clock_that_is_given():
 
     records = run_method(small_scenario(horizon=4), Counting(), [0, 1], clock=lambda: float(next(ticks)))
     assert sum(record.seconds for record in records) == pytest.approx(len(decisions))
-
-
-def test_a_recurrent_state_is_carried_and_dropped_at_the_start():
-    actor = Counter()
-    method = PolicyMethod(actor)
-    scenario = small_scenario(horizon=5)
-    for _ in range(2):
-        actor.counts.clear()
-        run_method(scenario, method, [0])
-        steps = actor.counts[1:]  # the first call warms up
-        assert steps == list(range(1, len(steps) + 1))
 
 
 def test_a_horizon_of_one_slot_and_one_without_requests():
@@ -254,26 +193,3 @@ def test_what_cannot_be_run_is_said():
     wrong = PolicyMethod(TensorDictModule(lambda mask: mask.long(), ["action_mask"], ["action"]))
     with pytest.raises(ScenarioError, match="act returned shape"):
         run_method(scenario, wrong, [0])
-
-
-def test_methods_come_from_their_targets():
-    scenario = small_scenario(horizon=2)
-    own = f"{__name__}.RejectAll"
-    first, second = methods_from_config(
-        {
-            "a": {"_target_": "nfv_torchrl.methods.RandomMethod"},
-            "b": {"_target_": own, "_partial_": True},
-        },
-        scenario,
-    )
-    assert first.name == "random" and second.scenario is scenario
-    (record,) = run_method(scenario, second, [0])
-    assert set(record.reason) == {Reason.REJECTED_BY_POLICY}
-    for config, problem in (
-        ({}, "names no method"),
-        ({"a": {"name": "x"}}, "give _target_"),
-        ({"a": {"_target_": "builtins.dict"}}, "dict lacks 'name'"),
-        ({"a": {"_target_": own}, "b": {"_target_": own}}, "is called 'reject_all' too"),
-    ):
-        with pytest.raises(ScenarioError, match=problem):
-            methods_from_config(config, scenario)
