@@ -33,7 +33,7 @@ from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.setup import run_file
 
 FIRST_SEED = 2000
-COLUMNS = "price,steepness,threshold,gain,"
+COLUMNS = "price,steepness,threshold,"
 """What an output of this recipe begins with."""
 Setting = tuple[float, float, float | None]
 """Price p, steepness M, refusal threshold (None: never)."""
@@ -53,7 +53,7 @@ def main(cfg: DictConfig) -> None:
         answers = list(tqdm(pool.imap(measure, work), total=len(work), unit="setting", disable=None))
     myopic, *priced = answers  # each [loads x colocation, networks, (AAR, cost)]
     rows = [row(setting, answer, myopic) for setting, answer in zip(settings, priced, strict=True)]
-    rows.sort(key=lambda row: (-row["gain"], row["cost"]))
+    rows.sort(key=lambda row: (-row["aar_gain"], row["cost_per_accepted"]))
     show(rows, config, myopic)
     if output is not None:
         write_atomically(output, csv_text(rows))
@@ -99,10 +99,10 @@ def row(setting: Setting, answer: np.ndarray, myopic: np.ndarray) -> dict[str, A
         "price": price,
         "steepness": steepness,
         "threshold": threshold,
-        "gain": gain.mean,
+        "aar_gain": gain.mean,
         "ci_low": gain.low,
         "ci_high": gain.high,
-        "cost": float(answer[:, :, 1].mean()),
+        "cost_per_accepted": float(answer[:, :, 1].mean()),
         **{f"aar_{place}": float(aar) for place, aar in enumerate(answer[:, :, 0].mean(axis=1))},
     }
 
@@ -123,9 +123,10 @@ def show(rows: Sequence[dict[str, Any]], config: dict[str, Any], myopic: np.ndar
     print(f"{'myopic_optimal':>27}  {'':>17} {myopic[:, :, 1].mean():10.1f}  {base}")
     for line in rows:
         cells = "  ".join(f"{line[f'aar_{place}']:14.4f}" for place in range(len(names)))
-        gain = f"{line['gain']:+.4f} ± {line['gain'] - line['ci_low']:.4f}"
+        gain = f"{line['aar_gain']:+.4f} ± {line['aar_gain'] - line['ci_low']:.4f}"
+        cost = f"{line['cost_per_accepted']:10.1f}"
         threshold = "never" if line["threshold"] is None else f"{line['threshold']:g}"
-        print(f"{line['price']:6g} {line['steepness']:7g} {threshold:>12}  {gain:>17} {line['cost']:10.1f}  {cells}")
+        print(f"{line['price']:6g} {line['steepness']:7g} {threshold:>12}  {gain:>17} {cost}  {cells}")
     for name, refuses in (("priced", False), ("priced_admit", True)):
         best = next((line for line in rows if (line["threshold"] is not None) == refuses), None)
         if best is not None:

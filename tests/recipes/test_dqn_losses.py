@@ -72,13 +72,14 @@ def test_it_trains_resumes_to_the_bit_and_loads(name, tmp_path):
     assert (once.accepted == twice.accepted).all() and (once.step_node == twice.step_node).all()  # no noise left
 
 
-def test_noise_is_off_in_an_evaluation_and_back_after_it(tmp_path):
+def test_noise_is_off_in_an_evaluation_and_back_after_it():
     scenario = paper_scenario(nodes=4, seed=1, horizon=10, arrival_rate=2)
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=True))
     loss = DQN(partial(MLPNetwork, hidden=[8], noisy=True), sizes)
     modes = []
     loss.actor[0].module.register_forward_hook(lambda module, *_: modes.append(module.layers.training))
     logged = []
+    folder = SimpleNamespace(save_best=lambda content: None)
     logger = SimpleNamespace(scalars=lambda values, frames: logged.append(values))
     config = {
         "one_hot": True,
@@ -88,7 +89,7 @@ def test_noise_is_off_in_an_evaluation_and_back_after_it(tmp_path):
         "loss": {"_target_": "nfv_torchrl.losses.DQN"},
     }
     for _ in range(2):
-        evaluate_policy(loss, scenario, sizes, config, SimpleNamespace(path=tmp_path), logger, Progress())
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, Progress())
     assert modes and not any(modes)
     assert loss.actor.training and all(module.training for module in loss.actor.modules())
     assert logged[0]["eval/aar"] == logged[1]["eval/aar"]

@@ -26,10 +26,10 @@ def test_all_settings_best_first(tmp_path):
     with (tmp_path / "tune.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 4
-    gains = [float(row["gain"]) for row in rows]
+    gains = [float(row["aar_gain"]) for row in rows]
     assert gains == sorted(gains, reverse=True)
     (unpriced,) = [row for row in rows if float(row["price"]) == 0 and not row["threshold"]]
-    assert float(unpriced["gain"]) == pytest.approx(0, abs=1e-12)  # without a price it is myopic_optimal
+    assert float(unpriced["aar_gain"]) == pytest.approx(0, abs=1e-12)  # without a price it is myopic_optimal
     best = next(row for row in rows if not row["threshold"])
     assert f"best for priced: price={float(best['price']):g} steepness=3000" in done.stdout
 
