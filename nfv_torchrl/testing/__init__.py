@@ -13,6 +13,7 @@ they bring small networks and requests of their own and take some seconds.
 
 from nfv_torchrl.testing.loss import check_loss
 from nfv_torchrl.testing.observation import check_observation
+from nfv_torchrl.testing.planner import check_planner
 from nfv_torchrl.testing.reward import check_reward
 
-__all__ = ["check_loss", "check_observation", "check_reward"]
+__all__ = ["check_loss", "check_observation", "check_planner", "check_reward"]
