@@ -45,10 +45,12 @@ def scorer(actor: TensorDictModuleBase) -> TensorDictModule | None:
 
 
 def q_network(loss: Any) -> QNetwork:
-    """The Q-network inside a loss's actor, or what takes its place there and says whether it fits any size."""
-    modules = list(loss.actor.modules())
-    # The network itself first: TensorDict's modules pass on the attributes of what they hold.
-    for module in (*(each for each in modules if isinstance(each, QNetwork)), *modules):
-        if isinstance(module, QNetwork) or hasattr(module, "any_size"):
+    """The Q-network inside a loss's actor.
+
+    Raises:
+        CheckpointError: there is none.
+    """
+    for module in loss.actor.modules():
+        if isinstance(module, QNetwork):
             return module
     raise CheckpointError("the loss's actor holds no QNetwork; derive the network from nfv_torchrl.networks.QNetwork")

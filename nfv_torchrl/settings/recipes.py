@@ -50,6 +50,7 @@ ScenarioKeys = Annotated[Mapped, ScenarioRule()]
 Network = Annotated[Mapped, Target("sizes", "outputs", partial=True)]
 PlainNetwork = Annotated[Mapped, Target("sizes", "outputs", partial=None)]
 Loss = Annotated[Mapped, Target("network", "sizes")]
+Evolved = Annotated[Mapped, Target("network", "sizes")]
 Reward = Annotated[Mapped, Target("outcome", "scale", partial="functions")]
 Decisions = Annotated[Mapped, Target()]
 Exploration = Annotated[Mapped, Target("frames", partial=True)]
@@ -290,7 +291,7 @@ class EvolutionSettings(Run):
 
     network: Network
     tasks: Annotated[Mapped, Target("scenario")]
-    policy: Loss
+    policy: Evolved
     strategy: Search
     threads: Threads
     generations: Count
