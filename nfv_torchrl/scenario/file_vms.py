@@ -29,14 +29,14 @@ def file_vms(numbers: FileNumbers, kept: list[int], ranges: ResourceRanges, seed
     count = np.array([len(vms) or _count(numbers, place) for vms, place in zip(lists, kept, strict=True)], np.int64)
     slots = _slots(file.attributes.get("max_vms"), count, ranges, file.source)
     drawn = draw_vms(len(kept), seed, ranges, count)
-    vms = VmDraw(drawn.vm_count, _resized(drawn.capacity, slots), _resized(drawn.unit_cost, slots))
+    vms = VmDraw(drawn.vm_count, *(_resized(table, slots) for table in drawn[1:]))
     for node, (listed, place) in enumerate(zip(lists, kept, strict=True)):
         held = slice(0, int(vms.vm_count[node]))
-        for table, key in ((vms.capacity, "vm_capacity"), (vms.unit_cost, "vm_unit_cost")):
+        for key, table in zip(VmDraw._fields[1:], vms[1:], strict=True):
             if not np.isnan(numbers.values[key][place]):
                 table[node, held] = numbers.values[key][place]
         if listed:
-            vms.capacity[node, held], vms.unit_cost[node, held] = np.array(listed).T
+            vms.vm_capacity[node, held], vms.vm_unit_cost[node, held] = np.array(listed).T
     unknown = [place for place, known in zip(kept, count > 0, strict=True) if not known]
     if 0 < len(unknown) < len(kept):
         numbers.say_gaps("VMs", [file.node_name(place) for place in unknown], DRAWN)

@@ -51,9 +51,7 @@ def draw_random_substrate(
     return Substrate(
         name=f"random_{nodes}_seed_{seed}",
         labels=tuple(str(node) for node in range(nodes)),
-        vm_count=vms.vm_count,
-        vm_capacity=vms.capacity,
-        vm_unit_cost=vms.unit_cost,
+        **vms._asdict(),
         links=links,
         link_capacity=numbers.capacity,
         link_delay=numbers.delay,

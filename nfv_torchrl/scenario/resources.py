@@ -73,11 +73,11 @@ def _two_numbers(pair: Any, name: str) -> tuple[float, float]:
 
 
 class VmDraw(NamedTuple):
-    """``vm_count`` int64 [N]; ``capacity``, ``unit_cost`` float64 [N, V], 0 where there is no VM, V the range's end."""
+    """Arrays of VMs as a ``Substrate`` has them; V is the end of the range of ``vms``."""
 
     vm_count: np.ndarray
-    capacity: np.ndarray
-    unit_cost: np.ndarray
+    vm_capacity: np.ndarray
+    vm_unit_cost: np.ndarray
 
 
 class LinkDraw(NamedTuple):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.config import SubstrateConfig
 from nfv_torchrl.scenario.random_graph import draw_random_substrate
+from nfv_torchrl.scenario.resources import ResourceRanges
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.topology_zoo import read_topology
 
@@ -27,14 +29,8 @@ def build_substrate(config: SubstrateConfig, seed: int) -> Substrate:
         raise ScenarioError("substrate.attributes: names attributes of a file, but there is none; set substrate.path")
     if config.generator is not None:
         return _call_generator(config.generator, seed)
-    ranges: dict[str, Any] = {
-        "vms": (config.vms_min, config.vms_max),
-        "vm_capacity": config.vm_capacity,
-        "vm_unit_cost": config.vm_unit_cost,
-        "link_capacity": config.link_capacity,
-        "link_delay": config.link_delay,
-        "link_unit_cost": config.link_unit_cost,
-    }
+    names = [field.name for field in fields(ResourceRanges) if field.name != "vms"]
+    ranges: dict[str, Any] = {"vms": (config.vms_min, config.vms_max)} | {name: getattr(config, name) for name in names}
     if config.path is None:
         return draw_random_substrate(config.nodes, seed, mean_degree=config.mean_degree, **ranges)
     return read_topology(

@@ -88,9 +88,7 @@ def read_topology(
     return Substrate(
         name=_name(file, path),
         labels=labels,
-        vm_count=vms.vm_count,
-        vm_capacity=vms.capacity,
-        vm_unit_cost=vms.unit_cost,
+        **vms._asdict(),
         links=links.ends,
         link_capacity=links.capacity,
         link_delay=links.delay,

@@ -36,6 +36,50 @@ def change_link(world, b, link, amount):
 
 
 @part
+def _hold(world, b, resource, amount):
+    """Note what the walk has reserved, so that it can be given back."""
+    walk, e = world.walk, world.env[b]
+    walk.resource[b, e.entries] = resource
+    walk.amount[b, e.entries] = amount
+    e.entries += 1
+
+
+@part
+def reserve_step(world, b, step):
+    """Reserve what a step takes of its link and, if it places a function, of its VM."""
+    tables, e = world.tables, world.env[b]
+    _, nodes, vms = world.ledger.vm_offered.shape
+    if step.link >= 0:
+        units = tables.rate_units[e.service]
+        change_link(world, b, step.link, units)
+        _hold(world, b, link_resource(step.link, nodes, vms), units)
+    if step.places:
+        units = tables.load_units[e.service, e.function]
+        change_vm(world, b, step.node, step.vm, units)
+        _hold(world, b, vm_resource(step.node, step.vm, vms), units)
+
+
+@part
+def set_failed(world, b, resource, failed):
+    """A failed resource offers nothing; a repaired one offers what is not reserved."""
+    ledger, tables, e = world.ledger, world.tables, world.env[b]
+    _, nodes, vms = ledger.vm_offered.shape
+    first_link = count_vms(nodes, vms)
+    if resource < first_link:
+        node, vm = split_vm(resource, vms)
+        capacity = tables.vm_capacity[e.net, node, vm]
+        ledger.vm_failed[b, node, vm] = failed
+        ledger.vm_offered[b, node, vm] = 0 if failed else capacity - ledger.vm_reserved[b, node, vm]
+        show_share(world.seen.flat, b, resource, capacity, ledger.vm_offered[b, node, vm])
+    else:
+        link = resource - first_link
+        capacity = tables.link_capacity[e.net, link]
+        ledger.link_failed[b, link] = failed
+        ledger.link_offered[b, link] = 0 if failed else capacity - ledger.link_reserved[b, link]
+        show_share(world.seen.flat, b, resource, capacity, ledger.link_offered[b, link])
+
+
+@part
 def _give_back(world, b, resource, amount):
     _, nodes, vms = world.ledger.vm_offered.shape
     first_link = count_vms(nodes, vms)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nfv_torchrl.codec import decode_action, link_resource, vm_resource
-from nfv_torchrl.simulator.books import change_link, change_vm, empty_network, keep_running, release_walk
+from nfv_torchrl.codec import decode_action
+from nfv_torchrl.simulator.books import empty_network, keep_running, release_walk, reserve_step
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step, write_mask
 from nfv_torchrl.simulator.reasons import NO_REASON, Reason
@@ -24,33 +24,20 @@ INVALID_ACTION = int(Reason.INVALID_ACTION)
 
 
 @part
-def _take(walk, e, b, resource, amount):
-    walk.resource[b, e.entries] = resource
-    walk.amount[b, e.entries] = amount
-    e.entries += 1
-
-
-@part
 def _move(world, b, action):
     """Check a step and, if it passes, reserve for it. Returns ``PASSES`` or the reason's code."""
     tables, ledger, walk, e = world.tables, world.ledger, world.walk, world.env[b]
-    _, nodes, vms = ledger.vm_offered.shape
-    node, vm, places = decode_action(action, vms)
+    node, vm, places = decode_action(action, ledger.vm_offered.shape[2])
     link = np.int64(-1) if node == e.node else find_link(tables, e.net, e.node, node)
     step = Step(link, node, vm, places)
     reason = check_step(world, b, step)
     if reason != PASSES:
         return reason
     cost, delay = step_cost(tables, e, step), step_delay(tables, e, step)
+    reserve_step(world, b, step)
     if link >= 0:
-        units = tables.rate_units[e.service]
-        change_link(world, b, link, units)
-        _take(walk, e, b, link_resource(link, nodes, vms), units)
         e.hops += 1
     if places:
-        units = tables.load_units[e.service, e.function]
-        change_vm(world, b, node, vm, units)
-        _take(walk, e, b, vm_resource(node, vm, vms), units)
         e.function += 1
     walk.action[b, e.steps] = action
     e.steps += 1

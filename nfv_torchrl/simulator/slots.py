@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from nfv_torchrl.codec import count_vms, split_vm
-from nfv_torchrl.simulator.books import end_record
+from nfv_torchrl.simulator.books import end_record, set_failed
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.mask import write_mask
 from nfv_torchrl.simulator.state import OUTCOME
-from nfv_torchrl.simulator.view import show_request, show_share
+from nfv_torchrl.simulator.view import show_request
 
 
 @part
@@ -55,26 +54,6 @@ def _interrupt(world, b, resource):
 
 
 @part
-def _set_failed(world, b, resource, failed):
-    """A failed resource offers nothing; a repaired one offers what is not reserved."""
-    ledger, tables, e = world.ledger, world.tables, world.env[b]
-    _, nodes, vms = ledger.vm_offered.shape
-    first_link = count_vms(nodes, vms)
-    if resource < first_link:
-        node, vm = split_vm(resource, vms)
-        capacity = tables.vm_capacity[e.net, node, vm]
-        ledger.vm_failed[b, node, vm] = failed
-        ledger.vm_offered[b, node, vm] = 0 if failed else capacity - ledger.vm_reserved[b, node, vm]
-        show_share(world.seen.flat, b, resource, capacity, ledger.vm_offered[b, node, vm])
-    else:
-        link = resource - first_link
-        capacity = tables.link_capacity[e.net, link]
-        ledger.link_failed[b, link] = failed
-        ledger.link_offered[b, link] = 0 if failed else capacity - ledger.link_reserved[b, link]
-        show_share(world.seen.flat, b, resource, capacity, ledger.link_offered[b, link])
-
-
-@part
 def open_slot(world, b):
     """Start of a slot: departures, then this slot's repairs and failures in the timeline's order."""
     arrivals, e = world.arrivals, world.env[b]
@@ -82,7 +61,7 @@ def open_slot(world, b):
     while e.event_cursor < e.num_events and arrivals.event_slot[b, e.event_cursor] <= e.slot:
         resource = arrivals.event_resource[b, e.event_cursor]
         up = arrivals.event_up[b, e.event_cursor]
-        _set_failed(world, b, resource, not up)
+        set_failed(world, b, resource, not up)
         if not up:
             _interrupt(world, b, resource)
         e.event_cursor += 1
