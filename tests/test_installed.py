@@ -64,6 +64,15 @@ def test_recipes_are_listed_and_run(home):
     assert "greedy" in printed
 
 
+def test_a_copied_recipe_runs_with_the_configs_of_the_package(home):
+    call(home, "nfv-torchrl", "copy", "evaluate", "mine.py")
+    begin = "def main(cfg: DictConfig) -> None:\n"
+    text = (home / "mine.py").read_text()
+    (home / "mine.py").write_text(text.replace(begin, f"{begin}    print('mine')\n"))
+    printed = call(home, "python", "mine.py", "scenario.horizon=5", "seeds=1", "method=[greedy]")
+    assert "mine" in printed and "greedy" in printed
+
+
 def test_types_of_the_package_reach_a_users_script(home):
     script = home / "user.py"
     script.write_text(USER_SCRIPT)
