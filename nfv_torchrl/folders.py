@@ -79,6 +79,24 @@ def refuse_foreign(key: str, path: Path, kind: str) -> None:
         raise ScenarioError(f"{key}: {path} cannot be written (see {ground}); name another folder")
 
 
+def refuse_files(key: str, path: Path) -> None:
+    """Refuse a folder for a sweep, in which jobs make folders of their own, if it holds a user's files.
+
+    Raises:
+        ScenarioError: there are files, and no folder of ours beside them.
+    """
+    try:
+        inside = list(path.iterdir()) if path.is_dir() else []
+        files = sorted(each.name for each in inside if each.name != MARKER and not each.is_dir())
+        ours = not files or any(kind_of(each) for each in inside if each.is_dir())
+    except OSError as error:
+        raise ScenarioError(f"{key}: {path} cannot be used ({error.strerror}); name another folder") from error
+    if not ours:
+        raise ScenarioError(
+            f"{key}: {path} holds {files[0]}, and a sweep takes a folder for its jobs alone; name a new or an empty one"
+        )
+
+
 def claim(key: str, path: Path, kind: str) -> Lock:
     """The lock on the folder ``path``, which is made if it is not there, and then belongs to this command.
 
@@ -108,6 +126,11 @@ def lock_folder(key: str, path: Path, kind: str) -> Lock:
     except OSError as error:
         raise ScenarioError(f"{key}: {path} cannot be made ({error.strerror}); name another folder") from error
     return Lock(path.resolve() / MARKER, f"{key}: {path}", kind)
+
+
+def is_marked(folder: Path) -> bool:
+    """Whether the file is there by which a folder of ours is known."""
+    return (folder / MARKER).exists()
 
 
 def at_work(folder: Path) -> bool:

@@ -57,7 +57,7 @@ def load_file(path: str | os.PathLike[str], *, largest: int | None = None) -> di
     """
     source = Path(path)
     if not source.is_file():
-        raise CheckpointError(f"there is no checkpoint {source}; give the path of a .pt file that a recipe wrote")
+        raise CheckpointError(f"{source}: no checkpoint is there; give the path of a .pt file that a recipe wrote")
     try:
         check_archive(source, machine_memory() if largest is None else largest)
         content = torch.load(source, map_location="cpu", weights_only=True)

@@ -121,6 +121,8 @@ def test_seeds_are_a_number_or_a_list():
         (["netwrok=mlp"], "netwrok: unknown key; did you mean 'network'?"),
         (["checkpoint.keep=1"], "checkpoint: was renamed to saving; use that"),
         (["network=candidat"], "network: there is no 'candidat'; did you mean 'candidate'?"),
+        (["network=null"], "network: null where the name of a config was expected"),
+        (["run_dir=~"], "run_dir: ~ cannot be read; "),
         (["seed"], "Error parsing override 'seed'"),
     ],
 )

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from nfv_torchrl.networks.base import QNetwork, Sizes, split_outputs
+from nfv_torchrl.networks.layers import check_weights_fit
 from nfv_torchrl.observations import MemoryObservation, ObservationPart
 from nfv_torchrl.settings.values import Width
 
@@ -38,6 +39,7 @@ class GRUNetwork(QNetwork):
     def __init__(self, sizes: Sizes, outputs: int = 1, *, hidden: Width = 128) -> None:
         super().__init__()
         self.outputs, self.hidden = outputs, hidden
+        check_weights_fit(hidden, hidden * (6.0 * hidden + sizes.observation + 2.0 * sizes.actions * outputs))
         self.encode = nn.Sequential(nn.Linear(sizes.observation, hidden), nn.ReLU())
         self.cell = nn.GRUCell(hidden, hidden)
         self.values = nn.Linear(2 * hidden, sizes.actions * outputs)

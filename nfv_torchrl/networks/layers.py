@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +12,10 @@ from torch.nn import functional
 from torchrl.modules import MLP
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.limits import check_memory
+
+WEIGHT_BYTES = 20
+"""Of each weight in training: itself, its gradient, its target network's twin and two averages of the optimiser."""
 
 
 def perceptron(
@@ -24,7 +29,12 @@ def perceptron(
         hidden: neurons of each hidden layer.
         activation: name of a ``torch.nn`` activation.
         noisy: ``NoisyLinear`` layers instead of ``torch.nn.Linear``.
+
+    Raises:
+        ScenarioError: there is too little memory for that many weights.
     """
+    sizes = [inputs, *hidden, outputs]
+    check_weights_fit(hidden, (1 + noisy) * sum(float(a) * b for a, b in pairwise(sizes)))
     return MLP(
         in_features=inputs,
         out_features=outputs,
@@ -32,6 +42,15 @@ def perceptron(
         activation_class=activation_class(activation),
         layer_class=NoisyLinear if noisy else nn.Linear,
     )
+
+
+def check_weights_fit(hidden: Sequence[int] | int, weights: float) -> None:
+    """Refuse ``weights`` numbers that there is no memory for; ``hidden`` is the setting that they follow from.
+
+    Raises:
+        ScenarioError: so it is; the message names the GB.
+    """
+    check_memory({f"network.hidden={hidden if isinstance(hidden, int) else list(hidden)}": WEIGHT_BYTES * weights})
 
 
 def activation_class(name: str) -> type[nn.Module]:

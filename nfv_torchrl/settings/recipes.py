@@ -22,6 +22,7 @@ from nfv_torchrl.settings.values import (
     Bounds,
     Count,
     Exact,
+    LearningRate,
     Natural,
     NotEmpty,
     NotNegative,
@@ -30,6 +31,7 @@ from nfv_torchrl.settings.values import (
     Rule,
     Seed,
     SeedList,
+    Tasks,
     Threads,
     parse_dataclass,
 )
@@ -120,7 +122,7 @@ class Learner:
     """The learner of ``dqn``."""
 
     updates: Count
-    lr: Positive
+    lr: LearningRate
     max_grad_norm: Positive | None
     compile: bool
 
@@ -170,7 +172,7 @@ class BatchLearner:
 
     epochs: Count
     minibatch: Count
-    lr: Positive
+    lr: LearningRate
     max_grad_norm: Positive | None
 
 
@@ -214,7 +216,7 @@ class OfflineLearner:
 
     updates: Count
     batch_size: Count
-    lr: Positive
+    lr: LearningRate
     max_grad_norm: Positive | None
     compile: bool
 
@@ -266,7 +268,7 @@ class Fitness:
 class Generation:
     """``tasks``: horizons that every candidate plays."""
 
-    tasks: Count
+    tasks: Tasks
 
 
 @dataclass(frozen=True)
@@ -275,7 +277,7 @@ class HeldOutTasks:
 
     interval: Natural
     seed: Seed
-    tasks: Count
+    tasks: Tasks
 
 
 @dataclass(frozen=True)

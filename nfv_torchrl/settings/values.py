@@ -125,12 +125,15 @@ Threads = Annotated[int, Exact(), Bounds(at_least=1, at_most=1024)]
 Width = Annotated[int, Exact(), Bounds(at_least=1, at_most=2**16)]
 """Neurons of a layer."""
 Widths = Annotated[Sequence[Width], NotEmpty()]
+Tasks = Annotated[int, Exact(), Bounds(at_least=1, at_most=10_000)]
+"""Horizons that are drawn before any is played."""
 Seed = Annotated[int, Exact(), Bounds(at_least=0, at_most=2**32 - 1)]
 """What NumPy and torch both take."""
 SeedList = Annotated[Any, Seeds()]
 Positive = Annotated[float, Bounds(above=0)]
 NotNegative = Annotated[float, Bounds(at_least=0)]
 Share = Annotated[float, Bounds(at_least=0, at_most=1)]
+LearningRate = Annotated[float, Bounds(above=0, at_most=1000)]
 StepSize = Annotated[float, Bounds(above=0, at_most=1)]
 AboveOne = Annotated[float, Bounds(above=1)]
 AtLeastOne = Annotated[float, Bounds(at_least=1)]

@@ -51,4 +51,4 @@ class CheckpointFolder:
                 return path, load_file(path)
             except CheckpointError as error:
                 warnings.warn(f"{error}; going on from the one before it", stacklevel=2)
-        raise CheckpointError(f"{self.folder} holds no checkpoint to resume from; start without resume=true")
+        raise CheckpointError(f"resume: {self.folder} holds no checkpoint to go on from; start without resume=true")

@@ -11,6 +11,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,7 +26,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from nfv_torchrl.cli import recipes_folder
-from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError, TrainingError
+from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError, TrainingError, cut_words
 from nfv_torchrl.locks import locks_of_command
 from nfv_torchrl.training.overrides import explain
 
@@ -79,7 +80,8 @@ def recipe(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., 
                 return
             wanted = os.environ.get(FULL_ERROR) == "1"
             try:
-                with _full_error(True):  # Hydra raises its errors instead of printing them at length
+                # Hydra raises its errors instead of printing them at length.
+                with _full_error(True), _sweeps_elsewhere():
                     app()
             except Exception as error:
                 if wanted or entered:
@@ -204,6 +206,22 @@ def _full_error(wanted: bool) -> Iterator[None]:
             os.environ[FULL_ERROR] = before
 
 
+@contextlib.contextmanager
+def _sweeps_elsewhere() -> Iterator[None]:
+    """Hydra's own file of a sweep goes to a folder that is removed: it is written before anything can be refused."""
+    given = sys.argv
+    if not any(text.startswith(("-m", "--m", "hydra.mode=")) for text in given) or "hydra.sweep.dir" in " ".join(given):
+        yield
+        return
+    place = next((place for place, text in enumerate(given) if place and text[0] != "-" and "=" in text), len(given))
+    with tempfile.TemporaryDirectory(prefix="sweep_") as folder:
+        sys.argv = [*given[:place], f"hydra.sweep.dir='{folder}'", *given[place:]]
+        try:
+            yield
+        finally:
+            sys.argv = given
+
+
 def _leave(text: str) -> NoReturn:
-    print(f"error: {text}", file=sys.stderr)
+    print(f"error: {cut_words(text)}", file=sys.stderr)
     raise SystemExit(2) from None

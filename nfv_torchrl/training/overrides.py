@@ -28,14 +28,27 @@ def explain(error: BaseException, recipes: Path, name: str, arguments: Sequence[
     """
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = (error.missing_cfg_file or "").rpartition("/")
-        return f"{group}: there is no {option!r}; {_guess(option, error.options)}use one of {', '.join(error.options)}"
+        return _no_option(group, option, error.options)
     unknown = re.search(r"Could not override '([^']+)'", str(error))
     if unknown:
         try:
             _refuse(unknown[1], _config(recipes, name, arguments))
         except ScenarioError as refusal:
             return str(refusal)
+    missing = re.search(r"Could not load '([^']+)/([^'/]*)'", str(error))
+    if missing:
+        options = sorted(path.stem for path in (recipes / "config" / missing[1]).glob("*.yaml"))
+        return _no_option(missing[1], missing[2], options)
+    groups = "|".join(folder.name for folder in (recipes / "config").iterdir() if folder.is_dir())
+    empty = next((given for given in arguments if re.fullmatch(rf"({groups})=(null|\[.*\bnull\b.*\])", given)), None)
+    if empty is not None and (isinstance(error, TypeError) or "Config group override" in str(error)):
+        group, _, value = empty.partition("=")
+        return f"{group}: {value} where the name of a config was expected, or a list of names; see {name}.py --help"
     text = " ".join(str(error).split()).split(" See https://hydra.cc")[0]
+    unread = next((given for given in arguments if text.startswith(f"LexerNoViableAltException: {given}")), None)
+    if unread is not None:
+        key, _, value = unread.partition("=")
+        return f"{key}: {value} cannot be read; write it in full, and in quotes, such as {key}=\"'a b'\""
     return f"{text or type(error).__name__}; see {name}.py --help"
 
 
@@ -61,6 +74,10 @@ def _config(recipes: Path, name: str, arguments: Sequence[str]) -> dict[str, Any
         except HydraException:
             composed = compose(name)
     return {**dict.fromkeys(sorted(groups)), **OmegaConf.to_container(composed, resolve=False)}  # type: ignore[dict-item]
+
+
+def _no_option(group: str, option: str, options: Sequence[str]) -> str:
+    return f"{group}: there is no {option!r}; {_guess(option, options)}use one of {', '.join(options)}"
 
 
 def _guess(word: str, known: Iterable[str]) -> str:

@@ -18,7 +18,16 @@ from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.network_figure import draw_utilisation
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.files import write_atomically
-from nfv_torchrl.folders import claim, contents, holds_runs, lock_folder, refuse_foreign, remove_leftovers, set_aside
+from nfv_torchrl.folders import (
+    claim,
+    contents,
+    holds_runs,
+    is_marked,
+    lock_folder,
+    refuse_foreign,
+    remove_leftovers,
+    set_aside,
+)
 from nfv_torchrl.inputs import file_digests, world_digests
 from nfv_torchrl.locks import Lock
 from nfv_torchrl.losses import q_network
@@ -64,12 +73,14 @@ class RunFolder:
         self.checkpoints = CheckpointFolder(path, config["saving"]["keep"])
         refuse_foreign("run_dir", path, "run")
         if self.resume and not self.checkpoints.files():
-            raise CheckpointError(f"{path} holds no checkpoint to resume from; start without resume=true")
+            raise CheckpointError(f"resume: {path} holds no checkpoint to go on from; start without resume=true")
         self._lock = self._lock_older() if contents(path) else None
 
     def open(self) -> None:
         """Take the folder. When resuming, what a kill left in it is removed; otherwise an older run is renamed."""
         if self.resume:
+            assert self._lock is not None
+            self._lock.passing = False
             remove_leftovers(self.path)
             return
         older_lock = self._lock
@@ -86,7 +97,9 @@ class RunFolder:
         write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(self.config)))
 
     def _lock_older(self) -> Lock:
+        marked = is_marked(self.path)
         lock = lock_folder("run_dir", self.path, "run")
+        lock.passing = not marked  # a command that is refused leaves nothing in an older version's run
         inner = None if self.resume else holds_runs(self.path)
         if inner is not None:
             lock.release()

@@ -15,8 +15,8 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 
-from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.folders import check_place
+from nfv_torchrl.errors import ScenarioError, one_line
+from nfv_torchrl.folders import check_place, refuse_files
 from nfv_torchrl.training.cli import STOPS
 
 
@@ -30,9 +30,9 @@ def choose_device(name: str) -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise ScenarioError(f"device={name} cannot be used here ({error}); try device=auto") from error
+        torch.zeros(1, device=device).item()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise ScenarioError(f"device: {name} cannot be used here ({one_line(error)}); try device=auto") from error
     return device
 
 
@@ -66,6 +66,8 @@ def run_folder(value: Any, key: str = "run_dir") -> Path:
     """
     path = check_place(key, value)
     job = job_name()
+    if job:
+        refuse_files(key, path)
     return path / job if job else path
 
 

@@ -118,8 +118,11 @@ def test_ctrl_c_saves_and_says_how_to_resume(tmp_path):
         (["scenario.substrate.nodes=1"], ["nodes"]),
         (["scenario.substrate.vm_capacity=[-5,10]"], ["vm_capacity"]),
         (["scenario.substrate.path=nowhere.graphml"], ["nowhere.graphml"]),
-        (["device=tpu"], ["device=tpu", "auto"]),
-        (["resume=true"], ["no checkpoint", "resume"]),
+        (["device=tpu"], ["device: tpu", "auto"]),
+        (["device=meta"], ["device: meta", "auto"]),
+        (["resume=true"], ["error: resume: ", "no checkpoint"]),
+        (["network.hidden=[65536,65536]"], ["network.hidden=[65536, 65536]", "GB"]),
+        ([f"scenario.substrate.path={'a' * 3000}"], ["substrate.path: 'aaa", "aaa... is neither"]),
     ],
 )
 def test_bad_input_gets_one_clear_error(tmp_path, overrides, names):

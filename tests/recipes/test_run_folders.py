@@ -100,7 +100,7 @@ def test_a_refused_command_leaves_the_older_run_where_it_is(recipe, bad, tmp_pat
     before = tree(old_run(tmp_path / "run").parent)
     with pytest.raises((SystemExit, Exception)):
         call(recipe, *ARGUMENTS[recipe], f"run_dir={tmp_path / 'run'}", bad)
-    assert tree(tmp_path) == before
+    assert tree(tmp_path) == before and not (tmp_path / "run" / MARKER).exists()
 
 
 @pytest.mark.parametrize("recipe", ARGUMENTS)

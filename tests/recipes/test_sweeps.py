@@ -34,6 +34,20 @@ def test_a_sweep_trains_each_job_in_its_own_folder(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["sweep"]  # nothing beside it
 
 
+@pytest.mark.parametrize("place", ["thesis", ".", "null", "/dev/null/x"])
+def test_a_refused_sweep_writes_nothing(place, tmp_path):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter1.tex").write_text("mine")
+    done = run("evaluate.py", "-m", "seeds=1,2", f"output='{place}'" if place == "." else f"output={place}",
+               *TINY_SCENARIO, "method=[greedy]", cwd=tmp_path)  # fmt: skip
+    said = done.stderr.strip().splitlines()
+    if place == "null":  # keeps nothing, and works
+        assert done.returncode == 0
+    else:
+        assert done.returncode == 2 and said[-1].startswith("error: output: ")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["chapter1.tex", "thesis"]
+
+
 def hydra_says(monkeypatch, mode, overrides):
     state = SimpleNamespace(mode=mode, overrides=SimpleNamespace(task=overrides))
     monkeypatch.setattr(setup, "HydraConfig", SimpleNamespace(initialized=lambda: True, get=lambda: state))
