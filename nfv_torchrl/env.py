@@ -32,6 +32,22 @@ LAST_EPISODE = 2**53
 """More horizons than any environment plays; an episode's number in a checkpoint is below it."""
 
 
+class ActionSpec(Categorical):
+    """A ``Categorical`` that stays equal to itself when a transform (TorchRL's ``ActionMask``) puts a mask on it.
+
+    ``TransformedEnv`` compares specs before it calls an environment's own ``rand_action``, which knows the mask.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Categorical):
+            return False
+        mine, theirs = self.clone(), other.clone()
+        mine.mask = theirs.mask = None
+        return Categorical.__eq__(mine, theirs)
+
+    __hash__ = Categorical.__hash__
+
+
 class NFVEnv(EnvBase):
     """B networks that answer one request after the other. Each action is a step of Algorithm 3.
 
@@ -107,7 +123,7 @@ class NFVEnv(EnvBase):
         for part in self.parts:
             spec.update(part.specs(self.simulator))
         self.observation_spec = Composite(spec, shape=batch)
-        self.action_spec = Categorical(self.num_actions, shape=batch, dtype=torch.int64)
+        self.action_spec = ActionSpec(self.num_actions, shape=batch, dtype=torch.int64)
         self.reward_spec = Unbounded((*batch, 1), dtype=torch.float32)
         flag = Binary(1, shape=(*batch, 1), dtype=torch.bool)
         self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), shape=batch)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from tensordict import TensorDict
-from torchrl.data import Binary, Categorical, Unbounded
+from torchrl.data import Binary, Unbounded
 
-from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.env import ActionSpec, NFVEnv
 from nfv_torchrl.nfvdeep.draft_checks import restore_drafts
 from nfv_torchrl.nfvdeep.drafts import advance, begin_env, make_drafts
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
@@ -84,7 +84,7 @@ class NFVdeepEnv(NFVEnv):
         spec["observation"] = Unbounded((*batch, self.drafts.flat.shape[1]), dtype=torch.float32)
         spec["action_mask"] = Binary(self.num_actions, shape=(*batch, self.num_actions), dtype=torch.bool)
         self.observation_spec = spec
-        self.action_spec = Categorical(self.num_actions, shape=batch, dtype=torch.int64)
+        self.action_spec = ActionSpec(self.num_actions, shape=batch, dtype=torch.int64)
 
     def _act(self, actions: np.ndarray) -> None:
         choices = np.ascontiguousarray(actions, np.int64)
