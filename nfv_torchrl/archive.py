@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickletools
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,6 +23,10 @@ DTYPES = (torch.bool, *INTEGERS, torch.float16, torch.bfloat16, torch.float32, t
 
 DEEPEST = 32
 """Lists and dicts inside each other."""
+LARGEST_PICKLE = 16 << 20
+"""Bytes of the list of what a file holds, which is without the numbers of tensors."""
+MOST_IN_TUPLES = 1_000_000
+"""Values in a tuple, with those in the tuples that it holds."""
 
 
 def machine_memory() -> int:
@@ -45,9 +50,48 @@ def check_archive(path: Path, largest: int) -> None:
             raise CheckpointError(f"{path} is compressed; torch.save does not compress, so it is no checkpoint")
         if sum(entry.file_size for entry in entries) > size:
             raise CheckpointError(f"{path} says that it holds more bytes than it has; it is no checkpoint")
+        for entry in entries:
+            if entry.filename.endswith("data.pkl"):
+                _check_pickle(path, archive, entry)
         damaged = archive.testzip()
     if damaged is not None:
         raise CheckpointError(f"checkpoint {path} is damaged (at {quoted(damaged)}); use an older one")
+
+
+def _check_pickle(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
+    """Refuse tuples that hold each other over and over: as keys they would be hashed for ever, before anything is seen.
+
+    The stack of the pickle is followed with nothing on it but how many values each of its entries stands for.
+    """
+    if entry.file_size > LARGEST_PICKLE:
+        raise CheckpointError(f"{path} lists more values than a checkpoint has; it is no checkpoint")
+    stack: list[int | None] = []  # None: a mark
+    memo: dict[Any, int] = {}
+    for code, argument, _ in pickletools.genops(archive.read(entry)):
+        if code.name in ("PUT", "BINPUT", "LONG_BINPUT"):
+            memo[argument] = stack[-1] or 1
+        elif code.name == "MEMOIZE":
+            memo[len(memo)] = stack[-1] or 1
+        elif code.name in ("GET", "BINGET", "LONG_BINGET"):
+            stack.append(memo[argument])
+        elif code.name == "MARK":
+            stack.append(None)
+        else:
+            inside = _popped(stack, code)
+            values = 1 + sum(inside) if code.name.startswith("TUPLE") else 1
+            if values > MOST_IN_TUPLES:
+                raise CheckpointError(f"{path} holds tuples in tuples as no checkpoint does; it is none")
+            stack += [values] * len(code.stack_after)
+
+
+def _popped(stack: list[int | None], code: pickletools.OpcodeInfo) -> list[int]:
+    """What the instruction takes from the stack, down to the last mark if it says so."""
+    count = len(code.stack_before)
+    if pickletools.markobject in code.stack_before:
+        place = len(stack) - 1 - stack[::-1].index(None)
+        count = len(stack) - place + code.stack_before.index(pickletools.markobject)
+    taken, stack[len(stack) - count :] = stack[len(stack) - count :], []
+    return [values for values in taken if values is not None]
 
 
 def check_values(path: Path, content: Any) -> None:

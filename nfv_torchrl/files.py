@@ -107,12 +107,26 @@ def read_json(path: str | os.PathLike[str], limit: int = MAX_FILE_BYTES) -> dict
     """
     text = read_text(path, limit)
     try:
-        data = json.loads(text)
+        data = json.loads(text, object_pairs_hook=unique_keys)
     except (ValueError, RecursionError) as error:  # ValueError: also integers of more than 4300 digits
         raise ScenarioError(f"{path}: is not valid JSON ({error}); write it again or fix that place") from error
     if not isinstance(data, dict):
         raise ScenarioError(f"{path}: holds a {type(data).__name__}, not a JSON object {{...}}")
     return data
+
+
+def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """For ``json.loads``, which would keep the last of two entries of the same name without a word.
+
+    Raises:
+        ValueError: there are such.
+    """
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"{key!r:.60} stands twice in one object")
+        found[key] = value
+    return found
 
 
 def _umask() -> int:

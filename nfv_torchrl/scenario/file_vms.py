@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.files import unique_keys
 from nfv_torchrl.scenario.attributes import DRAWN, FileNumbers
 from nfv_torchrl.scenario.quoting import shown
 from nfv_torchrl.scenario.resources import ResourceRanges, VmDraw, draw_vms
@@ -56,7 +57,7 @@ def _listed(numbers: FileNumbers, place: int) -> list[tuple[float, float]]:
 
 def _parsed(text: str, where: str) -> Any:
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=unique_keys)
     except (ValueError, RecursionError):
         raise ScenarioError(
             f'{where}: \'vms\' is {shown(text)}; use JSON such as [{{"capacity": 500, "unit_cost": 50}}], or vm_count, '

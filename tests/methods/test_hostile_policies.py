@@ -331,7 +331,7 @@ PRICES = {"_target_": "nfv_torchrl.networks.prices.PriceNetwork", "price_unit": 
             },
             "network.price_unit",
         ),
-        ({"loss": {"_target_": "nfv_torchrl.losses.QuantileDQN", "quantiles": 2**40}}, "larger than its weights"),
+        ({"loss": {"_target_": "nfv_torchrl.losses.QuantileDQN", "quantiles": 2**40}}, "GB of memory would be needed"),
     ],
 )
 def test_entries_that_say_too_much(place, change, words):
@@ -377,6 +377,16 @@ def test_archives(place):
     os.mkfifo(place / "pipe.pt")
     for name in ("pipe.pt", "their_pkg", "nowhere.pt"):
         refused(place / name, match="no checkpoint")
+
+
+def test_a_tuple_of_itself_as_a_key_does_not_hang(place):
+    """Hashing a pair of a pair of ... of one object 60 times takes 2**60 steps."""
+    pairs = b"".join(b"h%ch%c\x86q%c" % (depth, depth, depth + 1) for depth in range(60))
+    with zipfile.ZipFile(place / "endless.pt", "w") as archive:
+        archive.writestr("archive/data.pkl", b"\x80\x02K\x01\x85q\x00" + pairs + b"}h%cK\x01s." % 60)
+        archive.writestr("archive/version", "3\n")
+        archive.writestr("archive/byteorder", "little")
+    refused(place / "endless.pt", match="tuples in tuples")
 
 
 def test_a_tensor_that_claims_more_bytes_than_the_archive_has(place):

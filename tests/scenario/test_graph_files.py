@@ -209,7 +209,9 @@ def test_refuses_json(nodes, links, rest, message, tmp_path):
         read(tmp_path, node_link(nodes, links, **rest), "n.json")
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"a": ' + "9" * 5000 + "}", "", "\x00", "{"])
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"a": ' + "9" * 5000 + "}", "", "\x00", "{", '{"a": [{"b": 1, "b": 2}]}']
+)
 def test_refuses_what_is_no_json(text, tmp_path):
     with pytest.raises(ScenarioError, match=r"n.json: is not valid JSON"):
         read(tmp_path, text, "n.json")
