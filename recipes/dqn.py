@@ -33,6 +33,7 @@ from nfv_torchrl.settings.recipes import DqnSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room, tensor_bytes
+from nfv_torchrl.training.env_state import EnvState
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
@@ -110,7 +111,7 @@ def main(cfg: DictConfig) -> None:
         "optimizer": optimizer,
         "updater": updater,
         "buffer": MemoryState(buffer),
-        "env": env,
+        "env": EnvState(env),
         "window": window,
         "progress": progress,
         "rng": GlobalRNGState(),

@@ -24,6 +24,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import PolicyGradientSettings, read_settings
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
+from nfv_torchrl.training.env_state import EnvState
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
@@ -68,7 +69,7 @@ def main(cfg: DictConfig) -> None:
     state = {
         "loss": loss,
         "optimizer": optimizer,
-        "env": env,
+        "env": EnvState(env),
         "window": window,
         "progress": progress,
         "rng": GlobalRNGState(),
