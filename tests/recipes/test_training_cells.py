@@ -48,7 +48,8 @@ def test_under_a_path_with_anything_in_it(tmp_path, monkeypatch):
 
 
 def test_a_worker_told_to_stop_lets_its_recipe_save(tmp_path, monkeypatch):
-    store, cell = CellStore(tmp_path / "out", ROOT / "recipes"), cell_of("collector.total_frames=1000000", "saving.interval=1")
+    store = CellStore(tmp_path / "out", ROOT / "recipes")
+    cell = cell_of("collector.total_frames=1000000", "saving.interval=1")
     monkeypatch.setattr(training, "stopping", False)
 
     def stop_soon() -> None:
