@@ -50,6 +50,10 @@ def changed(config: dict, key: tuple[str, ...], value: object) -> dict:
     return copied
 
 
+NO_ARGUMENTS = [f"~loss.{key}" for key in ("gamma", "double", "loss_function", "stop_at")]
+"""Takes what `double_dqn` sets away from `loss`."""
+
+
 @pytest.mark.parametrize("name", sorted(RECIPES))
 def test_any_value_of_any_key_is_taken_or_refused_in_one_line(name):
     config = config_of(name)
@@ -85,6 +89,8 @@ def test_any_value_of_any_key_is_taken_or_refused_in_one_line(name):
         ("dqn", ["loss._target_=os.sep"], "loss._target_: 'os.sep' is no class or function"),
         ("dqn", ["target.value_network_update_interval=0"], "target.value_network_update_interval: 0 where"),
         ("dqn", ["buffer.batch_size=9", "buffer.size=8"], "buffer.batch_size: 9 is more"),
+        ("dqn", ["buffer.batch_size=8", "buffer.size=63"], "buffer.size: 63 where each batch brings at least 64 rows"),
+        ("dqn", ["loss._target_=torch.nn.Flatten", *NO_ARGUMENTS], "'torch.nn.Flatten' has no method 'prepare'"),
         ("dqn", ["stagger=false"], "segment: 20 slots need staggered environments"),
         ("dqn", ["preset=recurrent", "loss.burn_in=32"], "loss.burn_in: 32 steps"),
         ("evolution", ["strategy.population=1"], "strategy.population: 1 where"),

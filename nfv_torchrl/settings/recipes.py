@@ -51,7 +51,7 @@ Mapped = dict[str, Any]
 ScenarioKeys = Annotated[Mapped, ScenarioRule()]
 Network = Annotated[Mapped, Target("sizes", "outputs", partial=True)]
 PlainNetwork = Annotated[Mapped, Target("sizes", "outputs", partial=None)]
-Loss = Annotated[Mapped, Target("network", "sizes")]
+Loss = Annotated[Mapped, Target("network", "sizes", has=("prepare", "forward"))]
 Evolved = Annotated[Mapped, Target("network", "sizes")]
 Reward = Annotated[Mapped, Target("outcome", "scale", partial="functions")]
 Decisions = Annotated[Mapped, Target()]
@@ -157,6 +157,11 @@ class DqnSettings(Run):
             raise ScenarioError(
                 f"buffer.batch_size: {self.buffer.batch_size} is more than the memory holds; use buffer.size="
                 f"{self.buffer.size} at most, or a larger memory"
+            )
+        if self.collector.num_envs > self.buffer.size:
+            raise ScenarioError(
+                f"buffer.size: {self.buffer.size} where each batch brings at least {self.collector.num_envs} rows "
+                "(collector.num_envs); use a larger memory"
             )
         burn_in = self.loss.get("burn_in", 0)
         if burn_in >= self.collector.steps:

@@ -34,10 +34,13 @@ class Target(Rule):
     Args:
         given: arguments that the recipe passes.
         partial: whether ``_partial_: true`` belongs there; None: it may; ``functions``: to functions, not to classes.
+        has: methods that a class needs.
     """
 
-    def __init__(self, *given: str, partial: bool | Literal["functions"] | None = False) -> None:
-        self.given, self.partial = given, partial
+    def __init__(
+        self, *given: str, partial: bool | Literal["functions"] | None = False, has: tuple[str, ...] = ()
+    ) -> None:
+        self.given, self.partial, self.has = given, partial, has
 
     def describe(self, kind: str) -> str:
         """See ``Rule``."""
@@ -51,6 +54,11 @@ class Target(Rule):
         if wanted is not None and value.get("_partial_", False) is not wanted:
             refuse(f"{where}._partial_", value.get("_partial_", False), str(wanted).lower())
         check_target(value, where, self.given)
+        target = _locate(value.get("_target_"), where)
+        for method in self.has if inspect.isclass(target) else ():
+            if not hasattr(target, method):
+                name = shown(value["_target_"])
+                raise ScenarioError(f"{where}._target_: {name} has no method {method!r}; name a class that has it")
 
 
 def check_target(spec: Mapping[str, Any], where: str, given: tuple[str, ...] = ()) -> None:
