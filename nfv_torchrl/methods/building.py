@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
+import pkgutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -32,6 +33,18 @@ def _by_name(*classes: type) -> dict[str, type]:
     return modules | {f"{each.__module__.rpartition('.')[0]}.{each.__name__}": each for each in classes}
 
 
+def _losses() -> list[type[nn.Module]]:
+    """Every loss of this package: what has ``prepare`` and ``forward``, in a module of ``nfv_torchrl/losses/``."""
+    found = []
+    for place in pkgutil.iter_modules(losses.__path__):
+        module = importlib.import_module(f"{losses.__name__}.{place.name}")
+        for each in vars(module).values():
+            made_here = isinstance(each, type) and each.__module__ == module.__name__
+            if made_here and issubclass(each, nn.Module) and hasattr(each, "prepare"):
+                found.append(each)
+    return found
+
+
 CLASSES: Mapping[str, Mapping[str, type]] = {
     "network": _by_name(
         networks.CandidateNetwork,
@@ -40,21 +53,7 @@ CLASSES: Mapping[str, Mapping[str, type]] = {
         networks.MLPNetwork,
         PriceNetwork,
     ),
-    "loss": _by_name(
-        losses.A2C,
-        losses.CQL,
-        losses.CentredDQN,
-        losses.DQN,
-        losses.DifferentialDQN,
-        losses.DiscreteSAC,
-        losses.Imitation,
-        losses.NStepDQN,
-        losses.PPO,
-        losses.QuantileDQN,
-        losses.RecurrentDQN,
-        losses.Reinforce,
-        losses.SlotDiscountDQN,
-    ),
+    "loss": _by_name(*_losses()),
     "planner": _by_name(NFVdeepPlanner),
     "policy": {
         **_by_name(CandidatePolicy, PricePolicy),

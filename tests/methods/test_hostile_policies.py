@@ -421,3 +421,9 @@ def test_every_class_of_the_configs_is_in_the_list():
                 lines = [line for line in path.read_text().splitlines() if "_target_:" in line]
                 targets = [line.split("_target_:")[1].split()[0] for line in lines]
                 assert targets and set(targets) <= set(CLASSES[part]), path
+
+
+def test_every_loss_of_the_package_may_be_built_and_nothing_else_of_its_modules():
+    known = {each.__name__ for each in CLASSES["loss"].values()}
+    assert {"DQN", "PPO", "RecurrentDQN", "SlotDiscountDQN"} <= known
+    assert not known & {"MeanValue", "TwoNetworks", "StateValue", "Acting", "DQNLoss", "LossModule", "Categorical"}
