@@ -12,6 +12,7 @@ Copy, paste and change it: every part below can be replaced without touching the
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import torch
 from hydra.utils import instantiate
@@ -61,7 +62,8 @@ def main(cfg: DictConfig) -> None:
         seed=cfg.seed,
         threads=cfg.env_threads,
     )
-    method = decisions.method(loss, one_hot=cfg.one_hot)
+    # Made anew for each evaluation: a compiled method keeps the weights that it was made with.
+    method = partial(decisions.method, loss, one_hot=cfg.one_hot)
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 
     progress = Progress()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -200,11 +200,11 @@ def evaluate_policy(
     folder: RunFolder,
     logger: RunLogger,
     progress: Progress,
-    method: Method | None = None,
+    method: Callable[[], Method] | None = None,
 ) -> None:
     """Act greedily on held-out workloads, log what came of it, and keep the policy if it is the best so far.
 
-    ``method`` says how the loss's actor acts: by default step by step, as ``acting_method`` has it.
+    ``method`` makes what acts by the loss's actor as it is now: by default step by step, as ``acting_method`` has it.
 
     Best means the highest AAR; among equals the lowest cost per accepted request.
 
@@ -216,8 +216,8 @@ def evaluate_policy(
     device = next(actor.parameters()).device
     actor.eval()  # noisy networks act by their mean weights
     actor.to("cpu")
-    method = method or acting_method(actor, q_network(loss), one_hot=config["one_hot"])
-    records = run_method(scenario, method, list_of_seeds("eval.seeds", config["eval"]["seeds"]))
+    acting = method() if method else acting_method(actor, q_network(loss), one_hot=config["one_hot"])
+    records = run_method(scenario, acting, list_of_seeds("eval.seeds", config["eval"]["seeds"]))
     actor.to(device)
     actor.train()
     runs = [compute_metrics(record) for record in records]
