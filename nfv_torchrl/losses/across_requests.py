@@ -140,7 +140,8 @@ class AcrossRequests(MaskedLoss):
             goal = self._target(tensordict)
             error = goal - taken
             self.learn_rate(error, tensordict.get(_after(self.tensor_keys.requests)))
-        loss = distance_loss(taken, goal, self.loss_function).mean()
+        self.prioritise(tensordict, error)
+        loss = self.mean(distance_loss(taken, goal, self.loss_function), tensordict)
         return TensorDict({"loss": loss, "reward_rate": self.rate.mean(), "td_error": error.abs().mean()})
 
     def collected(self, after: TensorDictBase) -> None:

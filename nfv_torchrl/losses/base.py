@@ -57,7 +57,9 @@ class MaskedLoss(Acting, LossModule):
     A subclass hands its networks and its actor over by ``adopt``.
 
     Keys, all of which ``set_keys`` can change: ``action`` int64 [], ``action_mask`` bool [A], and under ``next``
-    ``reward`` float32 [1] and ``done`` bool [1], which is ``stop_at`` here: where looking ahead ends.
+    ``reward`` float32 [1] and ``done`` bool [1], which is ``stop_at`` here: where looking ahead ends. Of a prioritised
+    memory also ``priority_weight`` float32 [], the weight of a row in ``mean``, and ``td_error`` float32 [1], the row's
+    next priority, which ``prioritise`` writes.
 
     Args:
         network: a network whose ``in_keys`` the loss reads, now and under ``next``.
@@ -70,6 +72,8 @@ class MaskedLoss(Acting, LossModule):
         action_mask: NestedKey = "action_mask"
         reward: NestedKey = "reward"
         done: NestedKey = "request_done"
+        priority: NestedKey = "td_error"
+        priority_weight: NestedKey = "priority_weight"
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
@@ -145,3 +149,21 @@ class MaskedLoss(Acting, LossModule):
         after = tensordict.get("next")
         going_on = ~after.get(self.tensor_keys.done)
         return after.get(self.tensor_keys.reward) + gamma * going_on * next_value
+
+    def mean(self, values: Tensor, tensordict: TensorDictBase) -> Tensor:
+        r"""The mean of ``values`` [batch, ...] over the rows of ``tensordict``, [].
+
+        If the rows have a ``priority_weight`` w, which a prioritised memory gives them so that rows it draws more often
+        do not count more, it is $\sum_i w_i l_i / \sum_i w_i$ with l the mean of a row (Schaul et al., "Prioritized
+        Experience Replay", ICLR 2016, section 3.4; the quotient is TorchRL's).
+        """
+        weights = tensordict.get(self.tensor_keys.priority_weight, None)
+        if weights is None:
+            return values.mean()
+        weights = weights.reshape(-1)
+        return (values.reshape(len(weights), -1).mean(-1) * weights).sum() / weights.sum()
+
+    def prioritise(self, tensordict: TensorDictBase, error: Tensor) -> None:
+        """Write the mean size of each row's ``error`` [batch, ...] to ``td_error`` [batch, 1], its next priority."""
+        size = error.detach().abs().reshape(len(error), -1).mean(-1, keepdim=True)
+        tensordict.set(self.tensor_keys.priority, size)

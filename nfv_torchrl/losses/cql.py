@@ -68,10 +68,11 @@ class CQL(MaskedLoss):
             best = masked_argmax(judges, self.mask(after))
             goal = self.returns(tensordict, next_values.gather(-1, best), self.gamma)
             agreement = (masked_argmax(values, mask) == action).float().mean()
+        self.prioritise(tensordict, goal - taken)
         return TensorDict(
             {
-                "loss_td": 0.5 * (goal - taken).square().mean(),
-                "loss_conservative": self.alpha * (masked_logsumexp(values, mask) - taken).mean(),
+                "loss_td": 0.5 * self.mean((goal - taken).square(), tensordict),
+                "loss_conservative": self.alpha * self.mean(masked_logsumexp(values, mask) - taken, tensordict),
                 "agreement": agreement,
             }
         )

@@ -87,11 +87,12 @@ class DiscreteSAC(MaskedLoss):
         regret = masked_expectation(probability, alpha * log_probability - lowest, mask)
         entropy = -masked_expectation(probability, log_probability, mask).detach()
         wanted = self.entropy_share * mask.sum(-1, keepdim=True).log()
+        self.prioritise(tensordict, taken - goal)
         return TensorDict(
             {
-                "loss_qvalue": (taken - goal).square().sum(-1).mean(),
-                "loss_actor": regret.mean(),
-                "loss_alpha": (self.log_alpha * (entropy - wanted)).mean(),
+                "loss_qvalue": self.mean((taken - goal).square().sum(-1), tensordict),
+                "loss_actor": self.mean(regret, tensordict),
+                "loss_alpha": self.mean(self.log_alpha * (entropy - wanted), tensordict),
                 "alpha": alpha,
                 "entropy": entropy.mean(),
             }

@@ -56,3 +56,10 @@ class DQN(Acting, DQNLoss):
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Single transitions: only the keys that the loss reads, [B, T] flattened."""
         return data.select(*self.in_keys).reshape(-1)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The loss of a batch of transitions; see ``MaskedLoss`` for the keys of a prioritised memory."""
+        values = super().forward(tensordict)
+        priority = tensordict.get(self.tensor_keys.priority)
+        tensordict.set(self.tensor_keys.priority, priority.sqrt())  # the size of the error; TorchRL writes its square
+        return values

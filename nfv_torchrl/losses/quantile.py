@@ -72,7 +72,8 @@ class QuantileDQN(MaskedLoss):
         taken = pick(self.outputs("value_network", tensordict), self.action(tensordict))
         with torch.no_grad():
             goal = self._target(tensordict)
-        loss = quantile_huber(taken, goal, self.levels, self.kappa).mean()
+        self.prioritise(tensordict, goal.mean(-1) - taken.mean(-1))
+        loss = self.mean(quantile_huber(taken, goal, self.levels, self.kappa), tensordict)
         spread = (taken.amax(-1) - taken.amin(-1)).mean().detach()
         return TensorDict({"loss": loss, "quantile_spread": spread})
 

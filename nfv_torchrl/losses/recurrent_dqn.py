@@ -123,8 +123,18 @@ class RecurrentDQN(MaskedLoss):
             best = (values[:, 1:] if self.double else target).argmax(-1, keepdim=True)
             ahead = self.gamma * ~tensordict.get("stop")[:, k:] * target.gather(-1, best).squeeze(-1)
             target_value = tensordict.get("reward")[:, k:] + ahead
-        loss = distance_loss(chosen, target_value, self.loss_function).mean()
-        return TensorDict({"loss": loss, "td_error": (chosen - target_value).abs().mean().detach()})
+        error = (chosen - target_value).detach().abs()
+        self.prioritise(tensordict, sequence_priority(error))
+        loss = self.mean(distance_loss(chosen, target_value, self.loss_function), tensordict)
+        return TensorDict({"loss": loss, "td_error": error.mean()})
+
+
+def sequence_priority(error: Tensor) -> Tensor:
+    """0.9 of a sequence's largest error and 0.1 of its mean, from errors of at least 0, [batch, T] to [batch, 1].
+
+    A mean alone would hide the one step that is to be learned from (Kapturowski et al. 2019, section 2.3).
+    """
+    return 0.9 * error.amax(-1, keepdim=True) + 0.1 * error.mean(-1, keepdim=True)
 
 
 def recurrent_actor(network: QNetwork, actions: int) -> QValueActor:

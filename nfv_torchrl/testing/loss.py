@@ -65,6 +65,8 @@ def check_loss(make: LossFactory, *, network: NetworkFactory | None = None, seed
     - Entries that start with ``loss`` are finite numbers [] with a finite gradient that is not zero everywhere; all
       other entries are numbers [], too.
     - What follows the end of a horizon does not matter.
+    - Priorities, if the loss writes any (``td_error``), are finite numbers [R, 1] of at least 0, and weights of rows
+      (``priority_weight``) count then.
     - A target network, if there is one, is found by TorchRL's updaters and gets no gradient.
     - A loss of the same class goes on from ``state_dict`` with the same numbers.
 
@@ -92,6 +94,7 @@ def check_loss(make: LossFactory, *, network: NetworkFactory | None = None, seed
         _same(values, other, "the values of invalid actions count: mask them before a maximum, mean or sum")
         _same(gradients, slopes, "the gradient goes through values of invalid actions: mask them first")
     _check_end_of_horizon(trial, data, values)
+    _check_priorities(trial, data)
     _check_target(trial.loss(), data)
     _check_state(trial, data)
 
@@ -183,6 +186,34 @@ def _check_end_of_horizon(trial: _Trial, data: TensorDictBase, values: Numbers) 
     names = [key for key in values if key.startswith("loss")]
     first, second = ({key: found[key] for key in names} for found in (values, other))
     _same(first, second, "what follows the end of a horizon counts; stop at done")
+
+
+def _check_priorities(trial: _Trial, data: TensorDictBase) -> None:
+    """Priorities fit their memory. Half of the rows alone and the other half alone average to all of them."""
+    rows = trial.loss().prepare(data.clone())
+
+    def learn(weights: Tensor | None) -> TensorDictBase:
+        loss, batch = trial.loss(), rows.clone()
+        if weights is not None:
+            batch.set("priority_weight", weights)
+        torch.manual_seed(0)
+        values = loss(batch).detach()
+        return values.select(*(key for key in values.keys() if key.startswith("loss"))).set("rows", batch)  # noqa: SIM118
+
+    priority = learn(None)["rows"].get("td_error", None)
+    if priority is None:
+        return
+    assert priority.shape == (len(rows), 1), f"td_error has shape {list(priority.shape)}; write one of each row, [R, 1]"
+    assert torch.isfinite(priority).all() and (priority >= 0).all(), "td_error is no finite number of at least 0"
+    half = (torch.arange(len(rows)) % 2).float()
+    whole, first, second = (
+        learn(weights).exclude("rows") for weights in (torch.full((len(rows),), 0.5), half, 1 - half)
+    )
+    uncounted = "weights of rows (priority_weight) do not count: take the mean by MaskedLoss.mean"
+    assert any(not torch.equal(first[key], second[key]) for key in first.keys()), uncounted  # noqa: SIM118
+    mixed = first * half.mean() + second * (1 - half.mean())
+    _same(whole, learn(None).exclude("rows"), "equal weights of rows change the loss: take the mean by MaskedLoss.mean")
+    _same(whole, mixed, uncounted)
 
 
 def _check_target(loss: Any, data: TensorDictBase) -> None:

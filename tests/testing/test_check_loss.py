@@ -97,6 +97,18 @@ class DividesByZero(Sound):
         return TensorDict({"loss": super().forward(tensordict)["loss"] / tensordict["observation"].mul(0).sum()})
 
 
+class ForgetsWeights(Sound):
+    def forward(self, tensordict):
+        self.prioritise(tensordict, tensordict["next", "reward"])
+        return super().forward(tensordict)
+
+
+class WritesOnePriority(Sound):
+    def forward(self, tensordict):
+        tensordict.set("td_error", torch.ones(len(tensordict), 4))
+        return super().forward(tensordict)
+
+
 class HasNoLoss(Sound):
     def forward(self, tensordict):
         return TensorDict({"error": super().forward(tensordict)["loss"]})
@@ -122,6 +134,8 @@ class ForgetsItsMean(Sound):
         (ReturnsRows, "error has shape"),
         (LearnsNothing, "no parameter gets a gradient"),
         (DividesByZero, "on ordinary data"),
+        (ForgetsWeights, "weights of rows .* do not count"),
+        (WritesOnePriority, "write one of each row"),
         (HasNoLoss, "no entry whose name starts with 'loss'"),
         (ForgetsItsMean, "keep them in buffers"),
     ],
