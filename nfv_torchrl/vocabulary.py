@@ -141,6 +141,8 @@ for _row in (
     Quantity("quantile_spread", "", "distance of the quantiles' ends, mean", _LEARNER),
     Quantity("agreement", SHARE, "recorded actions that are also the policy's first choice", _LEARNER),
     Quantity("entropy", "nats", "entropy of the policy over valid actions, mean", _LEARNER),
+    Quantity("log_policy", "", "temperature times the log-probability of the actions taken, clipped, mean", _LEARNER),
+    Quantity("accepting", SHARE, "steps that accepted a request and are not learned from", _LEARNER),
     Quantity("alpha", "", "weight of the entropy", _LEARNER),
     Quantity("kl_approx", "nats", "how far the policy moved since the batch was collected, estimated", _LEARNER),
     Quantity("clip_fraction", SHARE, "actions whose probability ratio was clipped", _LEARNER),

@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.losses import q_network
+from nfv_torchrl.losses import has_target, q_network
 from nfv_torchrl.methods import load_weights
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
@@ -92,13 +92,14 @@ def main(cfg: DictConfig) -> None:
     buffer = TensorDictReplayBuffer(
         storage=LazyTensorStorage(cfg.buffer.size, device=device), batch_size=cfg.buffer.batch_size
     )
-    updater = instantiate(cfg.target)(loss)
+    updater = instantiate(cfg.target)(loss) if has_target(loss) else None
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 
     def update() -> TensorDictBase:
         """One gradient step and one of the target network; what ``torch.compile`` gets."""
         learned = gradient_step(loss, optimizer, buffer.sample(), cfg.learner.max_grad_norm)
-        updater.step()
+        if updater is not None:
+            updater.step()
         return learned
 
     if cfg.learner.compile:
@@ -109,13 +110,14 @@ def main(cfg: DictConfig) -> None:
     state = {
         "loss": loss,
         "optimizer": optimizer,
-        "updater": updater,
         "buffer": MemoryState(buffer),
         "env": EnvState(env),
         "window": window,
         "progress": progress,
         "rng": GlobalRNGState(),
     }
+    if updater is not None:
+        state["updater"] = updater
     # Before the collector, whose first reset starts the horizons of a new environment and goes on in a loaded one.
     folder.load(state)
     collector = Collector(

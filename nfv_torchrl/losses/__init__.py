@@ -10,10 +10,14 @@ from nfv_torchrl.losses.differential import DifferentialDQN
 from nfv_torchrl.losses.discrete_sac import DiscreteSAC
 from nfv_torchrl.losses.dqn import DQN
 from nfv_torchrl.losses.imitation import Imitation
+from nfv_torchrl.losses.iqn import IQN
+from nfv_torchrl.losses.munchausen import MunchausenDQN
 from nfv_torchrl.losses.n_step import NStepDQN
+from nfv_torchrl.losses.paper_literal import PaperLiteral
 from nfv_torchrl.losses.policy_gradient import PolicyGradient
 from nfv_torchrl.losses.ppo import PPO
 from nfv_torchrl.losses.quantile import QuantileDQN
+from nfv_torchrl.losses.rainbow import Rainbow
 from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
 from nfv_torchrl.losses.reinforce import Reinforce
 from nfv_torchrl.losses.slot_discount import SlotDiscountDQN
@@ -22,6 +26,7 @@ __all__ = [
     "A2C",
     "CQL",
     "DQN",
+    "IQN",
     "PPO",
     "AcrossRequests",
     "CentredDQN",
@@ -29,9 +34,12 @@ __all__ = [
     "DiscreteSAC",
     "Imitation",
     "MaskedLoss",
+    "MunchausenDQN",
     "NStepDQN",
+    "PaperLiteral",
     "PolicyGradient",
     "QuantileDQN",
+    "Rainbow",
     "RecurrentDQN",
     "Reinforce",
     "RequestLoss",

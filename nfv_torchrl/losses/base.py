@@ -125,8 +125,11 @@ class MaskedLoss(Acting, LossModule):
         """Single transitions: only the keys that the loss reads, [B, T] flattened."""
         return data.select(*self.in_keys).reshape(-1)
 
-    def outputs(self, name: str, tensordict: TensorDictBase, *, target: bool = False) -> Tensor:
-        """What network ``name`` returns for the state in ``tensordict``, [batch, A] or [batch, A, outputs]."""
+    def outputs(self, name: str, tensordict: TensorDictBase, *more: Tensor, target: bool = False) -> Tensor:
+        """What network ``name`` returns for the state in ``tensordict``, [batch, A] or [batch, A, outputs].
+
+        ``more``: what the network takes after the inputs that it names.
+        """
         params = getattr(self, f"target_{name}_params" if target else f"{name}_params")
         if target:
             # `to_module` would leave the target network's own tensors marked as requiring a gradient.
@@ -134,7 +137,7 @@ class MaskedLoss(Acting, LossModule):
         network = getattr(self, name)
         inputs = [tensordict.get(key) for key in self.network_keys]
         with params.to_module(network):
-            return network(*inputs)
+            return network(*inputs, *more)
 
     def mask(self, tensordict: TensorDictBase) -> Tensor:
         """A_p of the state in ``tensordict``, bool [batch, A]."""
@@ -144,8 +147,11 @@ class MaskedLoss(Acting, LossModule):
         """The action taken, int64 [batch, 1]."""
         return tensordict.get(self.tensor_keys.action).unsqueeze(-1)
 
-    def returns(self, tensordict: TensorDictBase, next_value: Tensor, gamma: float) -> Tensor:
-        """r + gamma (1 - done) next_value; ``next_value`` is [batch, 1] or, of a distribution, [batch, M]."""
+    def returns(self, tensordict: TensorDictBase, next_value: Tensor, gamma: float | Tensor) -> Tensor:
+        """r + gamma (1 - done) next_value; ``next_value`` is [batch, 1] or, of a distribution, [batch, M].
+
+        ``gamma``: one number, or float32 [batch, 1].
+        """
         after = tensordict.get("next")
         going_on = ~after.get(self.tensor_keys.done)
         return after.get(self.tensor_keys.reward) + gamma * going_on * next_value

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 
 from nfv_torchrl.errors import ScenarioError
@@ -57,14 +59,29 @@ class NStepDQN(DQN):
 
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Transitions of up to n steps, [B, T] flattened."""
-        after = data.get("next")
-        stop = after.get(self.stop_at) | after.get("done")
-        total, steps, _ = n_step_returns(after.get("reward").squeeze(-1), stop.squeeze(-1), self.n, self.gamma)
-        out = data.select(*self.in_keys)
-        out.set("next", out.get("next")[last_of_sums(steps)])
-        out.set(("next", "reward"), total.unsqueeze(-1))
-        out.set("steps_to_next_obs", steps.unsqueeze(-1))
-        return out.reshape(-1)
+        return n_step_transitions(data, self.in_keys, stop_at=self.stop_at, n=self.n, gamma=self.gamma)
+
+
+def n_step_transitions(
+    data: TensorDictBase, keys: Sequence[NestedKey], *, stop_at: str, n: int, gamma: float
+) -> TensorDictBase:
+    """Transitions of up to ``n`` steps from a batch [B, T], flattened: see ``NStepDQN``.
+
+    Args:
+        data: as collected, with ``reward`` [1], ``done`` [1] and ``stop_at`` [1] under ``next``.
+        keys: what the transitions keep; ``next`` is that of the last step of a sum.
+        stop_at: key that ends a sum, as the end of the horizon does.
+        n: most rewards to sum.
+        gamma: discount per step.
+    """
+    after = data.get("next")
+    stop = after.get(stop_at) | after.get("done")
+    total, steps, _ = n_step_returns(after.get("reward").squeeze(-1), stop.squeeze(-1), n, gamma)
+    out = data.select(*keys)
+    out.set("next", out.get("next")[last_of_sums(steps)])
+    out.set(("next", "reward"), total.unsqueeze(-1))
+    out.set("steps_to_next_obs", steps.unsqueeze(-1))
+    return out.reshape(-1)
 
 
 def n_step_returns(reward: Tensor, stop: Tensor, n: int, gamma: float | Tensor) -> tuple[Tensor, Tensor, Tensor]:

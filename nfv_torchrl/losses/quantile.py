@@ -83,7 +83,11 @@ class QuantileDQN(MaskedLoss):
         quantiles = self.outputs("value_network", after, target=True)
         judges = self.outputs("value_network", after) if self.double else quantiles
         best = masked_argmax(judges.mean(-1), self.mask(after))
-        return self.returns(tensordict, pick(quantiles, best), self.gamma)
+        return self.returns(tensordict, pick(quantiles, best), self.discount(tensordict))
+
+    def discount(self, tensordict: TensorDictBase) -> float | Tensor:
+        """Of what follows the rows' rewards: one number, or float32 [batch, 1]."""
+        return self.gamma
 
 
 class MeanValue(nn.Module):
@@ -105,7 +109,8 @@ def pick(values: Tensor, action: Tensor) -> Tensor:
 
 
 def quantile_huber(taken: Tensor, goal: Tensor, levels: Tensor, kappa: float) -> Tensor:
-    """Summed over the quantiles ``taken`` [batch, M], mean over the samples ``goal`` [batch, M']: [batch]."""
+    """Summed over the quantiles ``taken`` [batch, M] at ``levels`` [M] or [batch, M], mean over the samples ``goal``
+    [batch, M']: [batch]."""
     error = goal.unsqueeze(-2) - taken.unsqueeze(-1)
     size = error.abs()
     huber = torch.where(size <= kappa, 0.5 * error**2, kappa * (size - 0.5 * kappa))

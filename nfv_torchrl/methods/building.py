@@ -50,6 +50,7 @@ CLASSES: Mapping[str, Mapping[str, type]] = {
         networks.CandidateNetwork,
         networks.DuelingNetwork,
         networks.GRUNetwork,
+        networks.ImplicitQuantileNetwork,
         networks.MLPNetwork,
         PriceNetwork,
     ),

@@ -4,6 +4,7 @@ from nfv_torchrl.networks.base import NetworkFactory, QNetwork, Sizes
 from nfv_torchrl.networks.candidate import CandidateNetwork
 from nfv_torchrl.networks.dueling import DuelingNetwork
 from nfv_torchrl.networks.gru import GRUNetwork
+from nfv_torchrl.networks.implicit import ImplicitQuantileNetwork
 from nfv_torchrl.networks.layers import NoisyLinear
 from nfv_torchrl.networks.mlp import MLPNetwork
 
@@ -11,6 +12,7 @@ __all__ = [
     "CandidateNetwork",
     "DuelingNetwork",
     "GRUNetwork",
+    "ImplicitQuantileNetwork",
     "MLPNetwork",
     "NetworkFactory",
     "NoisyLinear",

@@ -41,10 +41,12 @@ class QNetwork(nn.Module):
     Attributes:
         in_keys: the keys it reads from a TensorDict.
         any_size: whether the same weights serve substrates of any size.
+        takes_levels: whether it takes levels of quantiles after its inputs, as ``ImplicitQuantileNetwork`` does.
     """
 
     in_keys: Sequence
     any_size: bool = False
+    takes_levels: bool = False
 
     def observations(self) -> list[ObservationPart]:
         """The parts of the observation it needs beside ``observation`` and ``action_mask``."""

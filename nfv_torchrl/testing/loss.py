@@ -32,7 +32,7 @@ class Poisoned(QNetwork):
     def __init__(self, network: QNetwork, actions: Tensor, amount: float) -> None:
         super().__init__()
         self.network, self.amount = network, amount
-        self.in_keys, self.any_size = network.in_keys, network.any_size
+        self.in_keys, self.any_size, self.takes_levels = network.in_keys, network.any_size, network.takes_levels
         self.poisoned: Tensor
         self.register_buffer("poisoned", actions, persistent=False)
         if hasattr(network, "unroll"):

@@ -24,6 +24,7 @@ from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.run import evaluate_policy
 from nfv_torchrl.vocabulary import without_row
 
+SHORT = "scenario.horizon=20"
 CHOICES = {
     "dqn": ["loss=dqn"],
     "double_dqn": ["loss=double_dqn"],
@@ -31,6 +32,17 @@ CHOICES = {
     "distributional": ["loss=distributional"],
     "discrete_sac": ["loss=discrete_sac", "exploration=none"],
     "cql": ["loss=cql"],
+    "iqn": ["loss=iqn", "network=implicit", "network.hidden=[8,8]", "loss.quantiles=2", SHORT],
+    "munchausen": ["loss=munchausen", SHORT],
+    "rainbow": [
+        "loss=rainbow",
+        "network=dueling",
+        "network.noisy=true",
+        "network.hidden=[8,8]",
+        "exploration=none",
+        SHORT,
+    ],
+    "paper_literal": ["preset=paper", "loss=paper_literal", SHORT],
     "dueling": ["network=dueling"],
     "noisy": ["network=noisy", "exploration=none"],
     "candidate": ["network=candidate", "loss=distributional"],

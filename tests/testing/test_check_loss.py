@@ -9,12 +9,13 @@ from tensordict import TensorDict
 import nfv_torchrl.losses
 from nfv_torchrl.losses import MaskedLoss, RecurrentDQN, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax
-from nfv_torchrl.networks import CandidateNetwork, GRUNetwork
+from nfv_torchrl.networks import CandidateNetwork, GRUNetwork, ImplicitQuantileNetwork
 from nfv_torchrl.testing import check_loss
 
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 LOSSES = [
     *("DQN", "NStepDQN", "CQL", "Imitation", "QuantileDQN", "DiscreteSAC"),
+    *("MunchausenDQN", "PaperLiteral", "Rainbow"),
     *("CentredDQN", "DifferentialDQN", "SlotDiscountDQN", "A2C", "PPO", "Reinforce"),
 ]
 
@@ -26,6 +27,7 @@ def test_the_losses_of_the_project_pass(name):
 
 def test_other_networks_serve(seed=1):
     check_loss(RecurrentDQN, network=partial(GRUNetwork, hidden=8))
+    check_loss(nfv_torchrl.losses.IQN, network=partial(ImplicitQuantileNetwork, hidden=(8, 8)))
     check_loss(partial(nfv_torchrl.losses.DQN, double=True), network=partial(CandidateNetwork, hidden=(8,)), seed=seed)
 
 
