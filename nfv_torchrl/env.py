@@ -8,14 +8,15 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Categorical, Composite, Unbounded
-from torchrl.envs import EnvBase
 
 from nfv_torchrl import rewards
 from nfv_torchrl.errors import CheckpointError, ScenarioError
+from nfv_torchrl.lean_env import LeanEnv
 from nfv_torchrl.observations import (
     MemoryObservation,
     ObservationPart,
     RequestObservation,
+    gather,
     outcome_spec,
     read_observation,
     read_outcome,
@@ -48,7 +49,7 @@ class ActionSpec(Categorical):
     __hash__ = Categorical.__hash__
 
 
-class NFVEnv(EnvBase):
+class NFVEnv(LeanEnv):
     """B networks that answer one request after the other. Each action is a step of Algorithm 3.
 
     An episode is one horizon of T slots; ``done`` marks its end, ``request_done`` the end of a request. Environment b's
@@ -141,31 +142,22 @@ class NFVEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._act(tensordict.get("action").numpy())
-        outcome = torch.from_numpy(self.simulator.world.outcome)
         reward = np.asarray(self.reward(self.simulator.outcome, self.cost_scale), np.float32)
         if not np.isfinite(reward).all():
             raise ScenarioError(
                 f"reward: {getattr(self.reward, '__name__', type(self.reward).__name__)} returned "
                 f"{reward[~np.isfinite(reward)][0]}; return finite numbers, in every step"
             )
-        terminated = outcome[:, OUTCOME.done, None] > 0
-        done = terminated | self._segments_ended()
+        values = read_outcome(self.simulator.world.outcome)
+        terminated = values["done"]
+        done = terminated.clone() if self.segment is None else terminated | self._segments_ended()
         for memory in self._memories():
             memory.keep(tensordict, done)
-        return self._observe().update(
-            {
-                "request_done": outcome[:, OUTCOME.request_done, None] > 0,
-                "outcome": read_outcome(outcome),
-                "reward": torch.from_numpy(reward).unsqueeze(-1),
-                "done": done,
-                "terminated": terminated,
-            }
-        )
+        values |= {"reward": torch.from_numpy(reward).unsqueeze(-1), "done": done, "terminated": terminated}
+        return gather(dict(self._observe().items()) | values, self.batch_size[0])
 
     def _segments_ended(self) -> torch.Tensor:
         """Environments between two requests whose segment is over, bool [B, 1]."""
-        if self.segment is None:
-            return torch.zeros(*self.batch_size, 1, dtype=torch.bool)
         world = self.simulator.world
         ended = (world.outcome[:, OUTCOME.request_done] > 0) & (world.env["slot"] >= self._leave_at)
         return torch.from_numpy(ended).unsqueeze(-1)
@@ -175,18 +167,11 @@ class NFVEnv(EnvBase):
         if not self._continue:
             self._start(self._rows_to_reset(tensordict))
         self._continue = False
-        outcome = torch.from_numpy(self.simulator.world.outcome)
         # A horizon without any request is over before its first step; a root that is done would be reset for ever, so
         # that is said with the first step instead. Rows that are not reset keep what TorchRL has for them.
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
-        return self._observe().update(
-            {
-                "request_done": outcome[:, OUTCOME.request_done, None] > 0,
-                "outcome": read_outcome(outcome),
-                "done": done,
-                "terminated": done.clone(),
-            }
-        )
+        values = read_outcome(self.simulator.world.outcome) | {"done": done, "terminated": done.clone()}
+        return gather(dict(self._observe().items()) | values, self.batch_size[0])
 
     def _rows_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:
         partial = None if tensordict is None else tensordict.get("_reset", None)

@@ -129,6 +129,7 @@ def main(cfg: DictConfig) -> None:
         env_device="cpu",
         storing_device="cpu",
         auto_register_policy_transforms=False,
+        track_traj_ids=False,
     )
     seen = tensor_bytes(env.fake_tensordict().to_dict()) // cfg.collector.num_envs
     iterations = cfg.collector.total_frames // frames_per_batch

@@ -87,6 +87,7 @@ def main(cfg: DictConfig) -> None:
         env_device="cpu",
         storing_device="cpu",
         auto_register_policy_transforms=False,
+        track_traj_ids=False,
     )
     iterations = cfg.collector.total_frames // (cfg.collector.num_envs * cfg.collector.steps)
     check_room(folder.path, state, config, iterations=iterations)

@@ -11,7 +11,7 @@ import toy
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
-from torchrl.envs import EnvCreator, ParallelEnv
+from torchrl.envs import EnvBase, EnvCreator, ParallelEnv
 from torchrl.envs.utils import check_env_specs
 
 from nfv_torchrl import rewards
@@ -164,6 +164,46 @@ def test_nothing_returned_changes_later():
     before = copy.deepcopy(state)
     rollout(env, 5)
     assert_same(TensorDict(state["world"]), TensorDict(before["world"]))
+
+
+@pytest.mark.parametrize("segment", [None, 3])
+def test_a_step_is_what_torchrl_makes_of_it(segment):
+    """``LeanEnv`` leaves out checks and copies of TorchRL's own loop, and no more than that."""
+    make = partial(NFVEnv, tiny(), 4, observations=EVERY_PART, stagger=True, segment=segment)
+    ours, theirs = make(), make()
+    policy = masked_random(torch.Generator().manual_seed(0))
+    state, other = ours.reset(), theirs.reset()
+    for _ in range(60):
+        action = policy(state)["action"]
+        state.set("of_the_policy", action.float()).set(("own", "nested"), action)
+        other.set("action", action).set("of_the_policy", action.float()).set(("own", "nested"), action)
+        step, state = ours.step_and_maybe_reset(state)
+        expected, other = EnvBase.step_and_maybe_reset(theirs, other)
+        assert_same(step, expected)
+        assert_same(state, other)
+        assert (step.device, step["next"].device, state.device) == (ours.device,) * 3
+        # A key that is set in what comes next is not set in what has been.
+        state["outcome", "new"] = state["outcome", "accepted"]
+        assert step.get(("next", "outcome", "new"), None) is None
+        del state["outcome", "new"]
+
+
+def test_steps_out_of_the_ordinary_are_torchrls():
+    class Counting(NFVEnv):
+        steps = 0
+
+        def _step_and_maybe_reset(self, tensordict):
+            self.steps += 1
+            return super()._step_and_maybe_reset(tensordict)
+
+    env = Counting(tiny(), 2)
+    td = env.rand_action(env.reset())
+    env.step_and_maybe_reset(td.clone())
+    assert env.steps == 0
+    env.step_and_maybe_reset(td.clone().set(("next", "hint"), torch.zeros(2)))
+    env.step_and_maybe_reset(td.clone().clear_device_())
+    env.step_and_maybe_reset(TensorDict.lazy_stack(list(td.unbind(0))))
+    assert env.steps == 3
 
 
 def test_partial_resets():

@@ -79,8 +79,11 @@ def run_env(config: dict[str, Any]) -> Iterator[Row]:
 def run_collector(config: dict[str, Any]) -> Iterator[Row]:
     for nodes, batch, scenario, steps in batches(config, COLLECTED):
         env = loaded_env(config, batch, scenario)
-        collector = Collector(env, RandomPolicy(), frames_per_batch=COLLECTED * batch, total_frames=-1,
-                              auto_register_policy_transforms=False)  # fmt: skip
+        # One device for all, as in the recipes: without one, TorchRL casts every key twice in every step. The batch is
+        # read before the next one is collected, so it need not be copied.
+        collector = Collector(env, RandomPolicy(), frames_per_batch=COLLECTED * batch, total_frames=-1, device="cpu",
+                              auto_register_policy_transforms=False, track_traj_ids=False,
+                              return_same_td=True)  # fmt: skip
         data = iter(collector)
 
         def count(data=data, steps=steps) -> int:

@@ -14,6 +14,7 @@ from nfv_torchrl.nfvdeep.draft_checks import restore_drafts
 from nfv_torchrl.nfvdeep.drafts import advance, begin_env, make_drafts
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
 from nfv_torchrl.nfvdeep.reward import Profit
+from nfv_torchrl.observations import gather
 from nfv_torchrl.rewards import Reward
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.state_checks import check_arrays
@@ -93,7 +94,7 @@ class NFVdeepEnv(NFVEnv):
 
     def _observe(self) -> TensorDict:
         flat, mask = torch.from_numpy(self.drafts.flat).clone(), torch.from_numpy(self.drafts.mask).clone()
-        return TensorDict({"observation": flat, "action_mask": mask}, batch_size=self.batch_size)
+        return gather({"observation": flat, "action_mask": mask}, self.batch_size[0])
 
     def _start(self, rows: np.ndarray) -> None:
         super()._start(rows)

@@ -1,6 +1,6 @@
 """Parts of the observation beside the flat observation and the mask. ``NFVEnv`` puts them together."""
 
-from nfv_torchrl.observations.base import ObservationPart, read_observation
+from nfv_torchrl.observations.base import ObservationPart, gather, read_observation
 from nfv_torchrl.observations.candidates import CandidateObservation
 from nfv_torchrl.observations.graph import GraphObservation
 from nfv_torchrl.observations.memory import MemoryObservation
@@ -13,6 +13,7 @@ __all__ = [
     "MemoryObservation",
     "ObservationPart",
     "RequestObservation",
+    "gather",
     "outcome_spec",
     "read_observation",
     "read_outcome",

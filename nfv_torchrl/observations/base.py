@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDict
@@ -28,6 +28,18 @@ Specs = dict[str, TensorSpec]
 Values = dict[str, torch.Tensor]
 
 
+CPU = torch.device("cpu")
+
+
+def gather(values: Mapping[str, Any], batch: int) -> TensorDict:
+    """``values`` by key, batch size [B], on the CPU. Mappings among them become nested.
+
+    They are taken as they are: ``TensorDict(values)`` looks at the shape and the device of each one, which takes longer
+    than a step of the simulator. Only what this package has made itself may come here.
+    """
+    return TensorDict._new_unsafe(values, batch_size=torch.Size([batch]), device=CPU)
+
+
 def read_observation(simulator: Simulator, parts: Sequence[ObservationPart]) -> TensorDict:
     """What a controller sees now, batch size [B]: ``observation``, ``action_mask`` and the keys of ``parts``.
 
@@ -35,6 +47,7 @@ def read_observation(simulator: Simulator, parts: Sequence[ObservationPart]) -> 
     """
     view = simulator.world.seen
     seen = {"observation": torch.from_numpy(view.flat).clone(), "action_mask": torch.from_numpy(view.mask).clone()}
+    whole = gather(seen, simulator.batch_size)
     for part in parts:
-        seen.update(part.read(simulator))
-    return TensorDict(seen, batch_size=[simulator.batch_size])
+        whole.update(part.read(simulator))
+    return whole

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 
 from nfv_torchrl.codec import count_actions, decode_action
 from nfv_torchrl.columns import columns
+from nfv_torchrl.observations.base import gather
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step
@@ -253,4 +253,4 @@ class CandidateObservation:
         actions = torch.empty(batch, rows, dtype=torch.int64)
         mask = torch.empty(batch, rows, dtype=torch.bool)
         write_candidates(simulator.world, self._costs, self._references, values.numpy(), actions.numpy(), mask.numpy())
-        return {"candidates": TensorDict({"features": values, "action": actions, "mask": mask}, batch_size=[batch])}
+        return {"candidates": gather({"features": values, "action": actions, "mask": mask}, batch)}

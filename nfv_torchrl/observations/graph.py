@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 from torchrl.data import Categorical, Composite, Unbounded
 
 from nfv_torchrl.codec import count_vms
+from nfv_torchrl.observations.base import gather
 from nfv_torchrl.observations.request import current_requests
 from nfv_torchrl.simulator import Simulator
 
@@ -83,7 +83,7 @@ class GraphObservation:
             "link_ends": self._ends.clone(),
             "nodes": torch.from_numpy(marks),
         }
-        return {"graph": TensorDict(values, batch_size=[batch])}
+        return {"graph": gather(values, batch)}
 
 
 def _stack(*columns: np.ndarray) -> torch.Tensor:

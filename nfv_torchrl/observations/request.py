@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 from torchrl.data import Categorical, Composite, Unbounded
 
+from nfv_torchrl.observations.base import gather
 from nfv_torchrl.simulator import Simulator
 
 INTEGERS = ("service", "ingress", "egress", "node", "function")
@@ -37,7 +37,7 @@ class RequestObservation:
         values = current_requests(simulator)
         tensors = {name: torch.from_numpy(values[name]) for name in INTEGERS}
         tensors |= {name: torch.from_numpy(values[name].astype(np.float32)) for name in self._numbers(simulator)}
-        return {"request": TensorDict(tensors, batch_size=[simulator.batch_size])}
+        return {"request": gather(tensors, simulator.batch_size)}
 
     @staticmethod
     def _numbers(simulator: Simulator) -> tuple[str, ...]:

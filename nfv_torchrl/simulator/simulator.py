@@ -108,7 +108,7 @@ class Simulator:
     @property
     def outcome(self) -> dict[str, np.ndarray]:
         """The columns of ``world.outcome`` by name, views float64 [B]."""
-        return {name: self.world.outcome[:, column] for name, column in OUTCOME._asdict().items()}
+        return dict(zip(OUTCOME._fields, self.world.outcome.T, strict=True))
 
     def scenario(self, b: int) -> Scenario:
         """The scenario of environment b."""
