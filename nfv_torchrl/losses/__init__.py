@@ -18,7 +18,9 @@ from nfv_torchrl.losses.policy_gradient import PolicyGradient
 from nfv_torchrl.losses.ppo import PPO
 from nfv_torchrl.losses.quantile import QuantileDQN
 from nfv_torchrl.losses.rainbow import Rainbow
+from nfv_torchrl.losses.rdpg import RDPG
 from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
+from nfv_torchrl.losses.recurrent_ppo import RecurrentPPO
 from nfv_torchrl.losses.reinforce import Reinforce
 from nfv_torchrl.losses.slot_discount import SlotDiscountDQN
 
@@ -28,6 +30,7 @@ __all__ = [
     "DQN",
     "IQN",
     "PPO",
+    "RDPG",
     "AcrossRequests",
     "CentredDQN",
     "DifferentialDQN",
@@ -41,6 +44,7 @@ __all__ = [
     "QuantileDQN",
     "Rainbow",
     "RecurrentDQN",
+    "RecurrentPPO",
     "Reinforce",
     "RequestLoss",
     "SlotDiscountDQN",

@@ -27,8 +27,12 @@ def masked_actor(network: QNetwork, actions: int) -> ProbabilisticActor:
     ``action_log_prob`` float32 [...].
     """
     if hasattr(network, "unroll"):
-        raise ScenarioError("network: one with memory cannot be a policy here; use network=mlp or network=candidate")
-    module = TensorDictModule(network, in_keys=list(network.in_keys), out_keys=["logits"])
+        raise ScenarioError("network: one with memory learns from sequences: use pg_loss=recurrent_ppo")
+    return masked_policy(TensorDictModule(network, in_keys=list(network.in_keys), out_keys=["logits"]), actions)
+
+
+def masked_policy(module: TensorDictModule, actions: int) -> ProbabilisticActor:
+    """The same policy, of a ``module`` that writes ``logits``."""
     return ProbabilisticActor(
         module,
         in_keys={"logits": "logits", "mask": "action_mask"},

@@ -10,13 +10,12 @@ from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 from torchrl.objectives import distance_loss
 
-from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.losses.base import MaskedLoss
+from nfv_torchrl.losses.sequences import SequenceLoss, sequence_priority
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
 from nfv_torchrl.settings.values import Distance, Natural, Share, StopKey
 
 
-class RecurrentDQN(MaskedLoss):
+class RecurrentDQN(SequenceLoss):
     r"""Mean squared temporal-difference error of a Q-network with memory, over sequences across requests.
 
     $$
@@ -41,10 +40,7 @@ class RecurrentDQN(MaskedLoss):
         stop_at: key that ends the look ahead: ``request_done``, or ``done`` to look across requests. The memory goes
             across requests in either case.
 
-    ``prepare`` turns a batch [B, T] into B sequences: ``observation`` float32 [T + 1, P] and ``action_mask`` bool
-    [T + 1, A], of the T steps and of what followed the last; ``restart`` bool [T + 1], steps that begin a horizon;
-    ``memory`` float32 [H] before the first; ``action`` int64 [T], ``reward`` float32 [T] and ``stop`` bool [T]. So
-    ``buffer.size`` and ``buffer.batch_size`` count sequences.
+    Rows are sequences, see ``SequenceLoss``: ``buffer.size`` and ``buffer.batch_size`` count them.
 
     Writes ``loss`` [] and, to log, ``td_error`` [], the mean absolute error.
 
@@ -63,55 +59,15 @@ class RecurrentDQN(MaskedLoss):
         loss_function: Distance = "l2",
         stop_at: StopKey = "request_done",
     ) -> None:
-        if burn_in < 0:
-            raise ScenarioError(f"loss.burn_in is {burn_in}; use 0 or more steps")
         made = network(sizes)
-        if not hasattr(made, "unroll"):
-            raise ScenarioError(f"{type(made).__name__} has no memory; use a network that has one, such as network=gru")
-        super().__init__(made, stop_at=stop_at)
+        super().__init__(made, burn_in=burn_in, stop_at=stop_at)
         self.adopt(made, actor=recurrent_actor(made, sizes.actions))
-        self.gamma, self.double, self.burn_in = gamma, double, burn_in
-        self.loss_function = loss_function
-
-    @property
-    def in_keys(self) -> list[str]:
-        """What ``forward`` reads."""
-        return ["observation", "action_mask", "restart", "memory", "action", "reward", "stop"]
-
-    def prepare(self, data: TensorDictBase) -> TensorDictBase:
-        """One sequence for each environment of [B, T]."""
-        after = data.get("next")
-        if data.shape[1] <= self.burn_in:
-            raise ScenarioError(f"loss.burn_in is {self.burn_in}; collector.steps={data.shape[1]} must be larger")
-
-        def with_next(key: str) -> Tensor:
-            return torch.cat([data.get(key), after.get(key)[:, -1:]], 1)
-
-        done = after.get("done").squeeze(-1)
-        return TensorDict(
-            {
-                "observation": with_next("observation"),
-                "action_mask": with_next("action_mask"),
-                "restart": torch.cat([torch.zeros_like(done[:, :1]), done], 1),
-                "memory": data.get("memory")[:, 0],
-                "action": data.get("action"),
-                "reward": after.get("reward").squeeze(-1),
-                "stop": after.get(self.tensor_keys.done).squeeze(-1) | done,
-            },
-            batch_size=data.shape[:1],
-        )
+        self.gamma, self.double, self.loss_function = gamma, double, loss_function
 
     def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
         """Values float32 [batch, T + 1 - burn_in, A] under ``params``, invalid actions at their lowest."""
-        seen, restart, memory = (tensordict.get(key) for key in ("observation", "restart", "memory"))
-        k = self.burn_in
-        with params.to_module(self.value_network):
-            network: QNetwork = self.value_network  # type: ignore[assignment]
-            if k:
-                with torch.no_grad():
-                    _, memory = network.unroll(seen[:, :k], memory, restart[:, :k])  # type: ignore[operator]
-            values, _ = network.unroll(seen[:, k:], memory, restart[:, k:])  # type: ignore[operator]
-        return values.masked_fill(~tensordict.get("action_mask")[:, k:], torch.finfo(values.dtype).min)
+        values = self.unrolled(tensordict, params)
+        return values.masked_fill(~tensordict.get("action_mask")[:, self.burn_in :], torch.finfo(values.dtype).min)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The loss of sequences made by ``prepare``."""
@@ -127,14 +83,6 @@ class RecurrentDQN(MaskedLoss):
         self.prioritise(tensordict, sequence_priority(error))
         loss = self.mean(distance_loss(chosen, target_value, self.loss_function), tensordict)
         return TensorDict({"loss": loss, "td_error": error.mean()})
-
-
-def sequence_priority(error: Tensor) -> Tensor:
-    """0.9 of a sequence's largest error and 0.1 of its mean, from errors of at least 0, [batch, T] to [batch, 1].
-
-    A mean alone would hide the one step that is to be learned from (Kapturowski et al. 2019, section 2.3).
-    """
-    return 0.9 * error.amax(-1, keepdim=True) + 0.1 * error.mean(-1, keepdim=True)
 
 
 def recurrent_actor(network: QNetwork, actions: int) -> QValueActor:

@@ -5,7 +5,7 @@ import torch
 from two_states import SIZES, set_target, table_network, transition
 
 from nfv_torchrl.losses import DQN, QuantileDQN
-from nfv_torchrl.losses.recurrent_dqn import sequence_priority
+from nfv_torchrl.losses.sequences import sequence_priority
 
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 

@@ -29,15 +29,19 @@ TINY = [
     "segment=2",
 ]
 BUFFER = ["buffer.size=20", "buffer.batch_size=4", "buffer.warmup_frames=32", "learner.updates=2"]
+SHORT = ["scenario.horizon=20"]
 RUNS = {
     "ppo": ("policy_gradient", ["pg_loss=ppo", "learner.minibatch=12"]),
     "a2c": ("policy_gradient", ["pg_loss=a2c"]),
     "reinforce": ("policy_gradient", ["pg_loss=reinforce"]),
     "ppo on candidates": ("policy_gradient", ["network=candidate"]),
+    "recurrent ppo": ("policy_gradient", ["pg_loss=recurrent_ppo", "network.hidden=8", "learner.minibatch=2", *SHORT]),
+    "rdpg": ("dqn", ["preset=rdpg", *BUFFER, "network.hidden=8", "loss.burn_in=2", *SHORT]),
     "nfvdeep": ("policy_gradient", ["env=nfvdeep"]),
     "gru": ("dqn", ["preset=recurrent", *BUFFER, "loss.burn_in=2"]),
 }
 LOGGED = {"ppo": "train/kl_approx", "a2c": "train/entropy", "reinforce": "train/loss_value", "gru": "train/td_error"}
+LOGGED |= {"recurrent ppo": "train/kl_approx", "rdpg": "train/loss_qvalue"}
 
 
 @pytest.mark.parametrize("name", RUNS)

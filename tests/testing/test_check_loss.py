@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 import nfv_torchrl.losses
-from nfv_torchrl.losses import MaskedLoss, RecurrentDQN, greedy_actor
+from nfv_torchrl.losses import RDPG, MaskedLoss, RecurrentDQN, RecurrentPPO, greedy_actor
 from nfv_torchrl.losses.masked import masked_argmax
 from nfv_torchrl.networks import CandidateNetwork, GRUNetwork, ImplicitQuantileNetwork
 from nfv_torchrl.testing import check_loss
@@ -26,7 +26,8 @@ def test_the_losses_of_the_project_pass(name):
 
 
 def test_other_networks_serve(seed=1):
-    check_loss(RecurrentDQN, network=partial(GRUNetwork, hidden=8))
+    for kind in (RecurrentDQN, RecurrentPPO, RDPG):
+        check_loss(kind, network=partial(GRUNetwork, hidden=8))
     check_loss(nfv_torchrl.losses.IQN, network=partial(ImplicitQuantileNetwork, hidden=(8, 8)))
     check_loss(partial(nfv_torchrl.losses.DQN, double=True), network=partial(CandidateNetwork, hidden=(8,)), seed=seed)
 
