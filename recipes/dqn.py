@@ -19,7 +19,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
-from torchrl.data import Categorical, LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule
 from tqdm import tqdm
 
@@ -32,14 +32,15 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import DqnSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
-from nfv_torchrl.training.disk import check_room, tensor_bytes
+from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.env_state import EnvState
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.progress import Progress
-from nfv_torchrl.training.room import check_buffer, check_compiler, check_environments
+from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
+from nfv_torchrl.training.room import check_compiler, check_environments
 from nfv_torchrl.training.run import RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
@@ -68,7 +69,8 @@ def main(cfg: DictConfig) -> None:
         raise ScenarioError("networks: substrates of several sizes need a network that fits any; set network=candidate")
     if cfg.init_from and not cfg.resume:
         load_weights(q_network(loss), cfg.init_from)
-    check_buffer(loss, worlds[0], one_hot=cfg.one_hot, size=cfg.buffer.size, steps=cfg.collector.steps)
+    rows = some_rows(loss, worlds[0], one_hot=cfg.one_hot, steps=cfg.collector.steps)
+    item = check_replay(loss, rows, config["buffer"], size=cfg.buffer.size)  # bytes
     if cfg.learner.compile:
         check_compiler(device)
     env = NFVEnv(
@@ -86,18 +88,16 @@ def main(cfg: DictConfig) -> None:
     # Policy and exploration. A spec of its own: a batched environment's spec would take on the mask.
     explore = EGreedyModule(Categorical(sizes.actions), action_mask_key="action_mask").to(device)
     policy = TensorDictSequential(loss.actor, explore)
-    epsilon = instantiate(cfg.exploration)
+    epsilon, beta = instantiate(cfg.exploration), instantiate(cfg.buffer.beta)  # by frames
 
     frames_per_batch = cfg.collector.num_envs * cfg.collector.steps
-    buffer = TensorDictReplayBuffer(
-        storage=LazyTensorStorage(cfg.buffer.size, device=device), batch_size=cfg.buffer.batch_size
-    )
+    buffer = make_buffer(config["buffer"], size=cfg.buffer.size, batch_size=cfg.buffer.batch_size, device=device)
     updater = instantiate(cfg.target)(loss) if has_target(loss) else None
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 
-    def update() -> TensorDictBase:
+    def update(batch: TensorDictBase) -> TensorDictBase:
         """One gradient step and one of the target network; what ``torch.compile`` gets."""
-        learned = gradient_step(loss, optimizer, buffer.sample(), cfg.learner.max_grad_norm)
+        learned = gradient_step(loss, optimizer, batch, cfg.learner.max_grad_norm)
         if updater is not None:
             updater.step()
         return learned
@@ -131,9 +131,8 @@ def main(cfg: DictConfig) -> None:
         auto_register_policy_transforms=False,
         track_traj_ids=False,
     )
-    seen = tensor_bytes(env.fake_tensordict().to_dict()) // cfg.collector.num_envs
     iterations = cfg.collector.total_frames // frames_per_batch
-    check_room(folder.path, state, config, iterations=iterations, memory=cfg.buffer.size * seen)
+    check_room(folder.path, state, config, iterations=iterations, memory=cfg.buffer.size * item)
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
@@ -145,6 +144,8 @@ def main(cfg: DictConfig) -> None:
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:
             explore.eps.fill_(epsilon(progress.frames))
+            if beta is not None:
+                buffer.sampler.beta = beta(progress.frames)
             data = next(batches)
             progress.iteration += 1
             progress.frames += data.numel()
@@ -154,7 +155,8 @@ def main(cfg: DictConfig) -> None:
             started = time.perf_counter()
             if progress.frames >= cfg.buffer.warmup_frames:
                 for _ in range(cfg.learner.updates):
-                    learning = update()
+                    learning = update(batch := buffer.sample().to(device, non_blocking=True))
+                    buffer.update_tensordict_priority(batch)  # if its sampler has any
                 progress.updates += cfg.learner.updates
             progress.learning_seconds += time.perf_counter() - started
             check_learning(learning, progress)

@@ -19,7 +19,6 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
@@ -38,8 +37,10 @@ from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.recording import Dataset
+from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
 from nfv_torchrl.training.room import check_compiler, check_environments
 from nfv_torchrl.training.run import RunFolder, evaluate_policy
+from nfv_torchrl.training.sampler_state import SamplerState
 from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
@@ -68,6 +69,10 @@ def main(cfg: DictConfig) -> None:
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
     loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
 
+    rows = some_rows(loss, scenario, one_hot=cfg.one_hot, steps=cfg.record.steps)
+    size = -(-cfg.record.frames // (cfg.record.num_envs * cfg.record.steps)) * cfg.record.num_envs * len(rows)
+    check_replay(loss, rows, config["buffer"], size=size)
+
     # A dataset that does not fit is refused, as all else, before the run's folder is taken.
     folder = RunFolder(config, [scenario])
     env = NFVEnv(
@@ -87,9 +92,12 @@ def main(cfg: DictConfig) -> None:
     updater = instantiate(cfg.target)(loss) if has_target(loss) else None
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 
-    def update() -> TensorDictBase:
+    buffer = make_buffer(config["buffer"], size=size, batch_size=cfg.learner.batch_size, device=device)
+    beta = instantiate(cfg.buffer.beta)
+
+    def update(batch: TensorDictBase) -> TensorDictBase:
         """One gradient step and one of the target network; what ``torch.compile`` gets."""
-        learned = gradient_step(loss, optimizer, buffer.sample(), cfg.learner.max_grad_norm)
+        learned = gradient_step(loss, optimizer, batch, cfg.learner.max_grad_norm)
         if updater is not None:
             updater.step()
         return learned
@@ -98,7 +106,8 @@ def main(cfg: DictConfig) -> None:
         update = torch.compile(update)
 
     progress = Progress()  # its frames are transitions learned from, TensorBoard's horizontal axis
-    state = {"loss": loss, "optimizer": optimizer, "progress": progress, "rng": GlobalRNGState()}
+    sampler = SamplerState(buffer)
+    state = {"loss": loss, "optimizer": optimizer, "sampler": sampler, "progress": progress, "rng": GlobalRNGState()}
     if updater is not None:
         state["updater"] = updater
     folder.load(state)
@@ -115,11 +124,12 @@ def main(cfg: DictConfig) -> None:
     for part in dataset.parts():
         recorded.add(part)
         transitions.append(loss.prepare(part).clone())
-    size = sum(len(part) for part in transitions)
-    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(size, device=device), batch_size=cfg.learner.batch_size)
     buffer.extend(torch.cat(transitions))
+    sampler.restore()
     del transitions
-    print(f"{size:,} transitions of {method.name} in {dataset.folder}, AAR {recorded.metrics()['train/aar']:.3f}")
+    print(
+        f"{len(buffer):,} transitions of {method.name} in {dataset.folder}, AAR {recorded.metrics()['train/aar']:.3f}"
+    )
 
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted"))
@@ -129,7 +139,10 @@ def main(cfg: DictConfig) -> None:
     with StopRequest() as stop:
         while progress.updates < cfg.learner.updates and not stop.asked:
             started = time.perf_counter()
-            learning = update()
+            if beta is not None:
+                buffer.sampler.beta = beta(progress.frames)
+            learning = update(batch := buffer.sample().to(device, non_blocking=True))
+            buffer.update_tensordict_priority(batch)  # if its sampler has any
             progress.updates += 1
             progress.frames += cfg.learner.batch_size
             progress.learning_seconds += time.perf_counter() - started

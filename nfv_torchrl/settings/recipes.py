@@ -58,6 +58,9 @@ Decisions = Annotated[Mapped, Target()]
 Exploration = Annotated[Mapped, Target("frames", partial=True)]
 Updater = Annotated[Mapped, Target("loss_module", partial=True)]
 Networks = Annotated[Mapped, Target("scenario", partial=True)]
+Storage = Annotated[Mapped, Target("max_size", has=("get", "set"))]
+Sampler = Annotated[Mapped, Target("max_capacity", has=("sample", "state_dict"))]
+Writer = Annotated[Mapped, Target(has=("extend", "state_dict"))]
 Methods = dict[str, Annotated[Mapped, Target("scenario", partial=None)]]
 Overrides = tuple[str, ...]
 Nodes = Annotated[int, Exact(), Bounds(at_least=2)]
@@ -109,7 +112,17 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Buffer:
+class ReplayParts:
+    """What a replay memory is made of; ``beta``: the sampler's exponent of importance weights by frames."""
+
+    storage: Storage
+    sampler: Sampler
+    writer: Writer
+    beta: Exploration | None
+
+
+@dataclass(frozen=True)
+class Buffer(ReplayParts):
     """The replay memory, in transitions or sequences."""
 
     size: Count
@@ -242,6 +255,7 @@ class OfflineSettings(Run):
     checkpoint: str | None
     dataset: str | None
     record: Recording
+    buffer: ReplayParts
     learner: OfflineLearner
     logger: Logger
     eval: HeldOut

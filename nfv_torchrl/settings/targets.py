@@ -16,13 +16,30 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.settings.values import PLAIN, Count, Rule, Share, join, parse, refuse, refuse_key, shown
+from nfv_torchrl.settings.values import (
+    PLAIN,
+    Count,
+    NotNegative,
+    Positive,
+    Rule,
+    Share,
+    join,
+    parse,
+    refuse,
+    refuse_key,
+    shown,
+)
 
 OF_HYDRA = ("_target_", "_partial_", "_recursive_", "_convert_", "_args_")
 """Keys that ``hydra.utils.instantiate`` reads itself."""
 SPECIAL: dict[str, dict[str, Any]] = {
     "torchrl.objectives.utils.HardUpdate": {"value_network_update_interval": Count},
     "torchrl.objectives.utils.SoftUpdate": {"eps": Share, "tau": Share},
+    "torchrl.data.replay_buffers.samplers.PrioritizedSampler": {
+        "alpha": NotNegative,
+        "beta": NotNegative,
+        "eps": Positive,
+    },
     "nfv_torchrl.methods.policy_file.load_policy": {"path": str | None},
 }
 """Arguments whose annotations do not say it: TorchRL's, and a path that is null where ``checkpoint`` names no file."""

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDict
-from torchrl.data import TensorDictReplayBuffer
+from torchrl.data import RoundRobinWriter, TensorDictReplayBuffer
 
 from nfv_torchrl.state_checks import ARRAY_DTYPES, check_keys, check_list, check_whole, refuse
 from nfv_torchrl.training.compact import flat_rows, pack, unpack
+from nfv_torchrl.training.sampler_state import SamplerState, load_plain, plain_state
 
 _OWN_KEY = "index"
 """Key that ``TensorDictReplayBuffer`` writes itself."""
@@ -22,7 +23,7 @@ _DTYPES = {str(dtype): dtype for dtype in ARRAY_DTYPES}
 
 
 class MemoryState:
-    """The state of a replay buffer: the items it holds and where the next one goes.
+    """The state of a replay buffer: the items it holds, where the next one goes, and what its sampler knows.
 
     The buffer's own ``state_dict`` holds its whole storage, uninitialised memory included. Here items are packed (see
     ``compact``), and what is seen after a step is left out where the next row says the same.
@@ -30,46 +31,60 @@ class MemoryState:
 
     def __init__(self, buffer: TensorDictReplayBuffer) -> None:
         self.buffer = buffer
+        self._sampler = SamplerState(buffer)
 
     def state_dict(self) -> dict[str, Any]:
-        """Items by their keys, joined by dots, in storage order."""
+        """Items by their keys, joined by dots, in storage order; the states of writer and sampler."""
         size = len(self.buffer)
-        if not size:
-            return {"size": 0, "items": {}, "cursor": 0}
-        items = self.buffer[:].exclude(_OWN_KEY).to("cpu").flatten_keys(".")
-        arrays = {key: value.numpy() for key, value in items.items()}
+        arrays: dict[str, np.ndarray] = {}
+        if size:
+            items = self.buffer[:].exclude(_OWN_KEY).to("cpu").flatten_keys(".")
+            arrays = {key: value.numpy() for key, value in items.items()}
         return {
             "size": size,
             "items": {key: _pack_item(value, arrays.get(_before(key) or "")) for key, value in arrays.items()},
-            "cursor": self.buffer.writer.state_dict()["_cursor"],
+            "writer": plain_state("buffer.writer", self.buffer.writer),
+            "sampler": self._sampler.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Fill an empty buffer.
 
         Raises:
-            CheckpointError: the state is of a larger buffer, or damaged.
+            CheckpointError: the state is of a larger buffer, of other parts, or damaged.
         """
-        check_keys("buffer", state, ("size", "items", "cursor"))
-        room = self.buffer.storage.max_size
-        size = check_whole("buffer.size", state["size"], 0, room)
-        cursor = check_whole("buffer.cursor", state["cursor"], 0, room - 1)
-        if not size:
-            return
-        if size < room and cursor != size:
-            refuse("buffer.cursor", f"is {cursor}, but the {size} rows there end at {size}")
+        check_keys("buffer", state, ("size", "items", "writer", "sampler"))
+        size = check_whole("buffer.size", state["size"], 0, self.buffer.storage.max_size)
+        self._check_writer(state["writer"], size)
         if not isinstance(state["items"], dict) or not all(isinstance(key, str) for key in state["items"]):
             refuse("buffer.items", "is no mapping by key")
+        if size:
+            self._fill(state["items"], size)
+        load_plain("buffer.writer", self.buffer.writer, state["writer"])
+        self._sampler.load_state_dict(state["sampler"])
+
+    def _check_writer(self, state: Any, size: int) -> None:
+        """A writer that goes round says where it is, and how many items it has written."""
+        if not isinstance(self.buffer.writer, RoundRobinWriter):
+            return
+        check_keys("buffer.writer", state, self.buffer.writer.state_dict())
+        room = self.buffer.storage.max_size
+        cursor = check_whole("buffer.writer._cursor", state["_cursor"], 0, room - 1)
+        check_whole("buffer.writer._write_count", state["_write_count"], size, 2**63 - 1)
+        if size < room and cursor != size:
+            refuse("buffer.writer._cursor", f"is {cursor}, but the {size} rows there end at {size}")
+
+    def _fill(self, packed: dict[str, Any], size: int) -> None:
         arrays: dict[str, np.ndarray] = {}
-        for key in sorted(state["items"], key=lambda key: _before(key) is not None):  # those left out of come first
+        for key in sorted(packed, key=lambda key: _before(key) is not None):  # those left out of come first
             before = arrays.get(_before(key) or "")
-            arrays[key] = _unpack_item(f"buffer.items.{key}", state["items"][key], size, before)
+            arrays[key] = _unpack_item(f"buffer.items.{key}", packed[key], size, before)
         items = TensorDict(batch_size=[size])
-        for key in state["items"]:
+        for key in packed:
             items.set(tuple(key.split(".")), torch.from_numpy(arrays[key]))
-        self.buffer.extend(items)
-        writer = self.buffer.writer
-        writer.load_state_dict({**writer.state_dict(), "_cursor": cursor})
+        # Through the storage: a writer may not want all of them, and a sampler makes priorities of what is written.
+        places = torch.arange(size)
+        self.buffer.storage.set(places, items.set(_OWN_KEY, places))
 
 
 def _before(key: str) -> str | None:

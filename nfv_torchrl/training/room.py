@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 
-from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError, one_line
-from nfv_torchrl.losses import q_network
 from nfv_torchrl.scenario.limits import check_memory
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
@@ -30,23 +26,6 @@ def check_environments(scenario: Scenario, num_envs: int, steps: int, key: str =
             f"{key}.steps={steps} of {num_envs} environments": float(frame) * num_envs * steps,
         }
     )
-
-
-def check_buffer(loss: Any, scenario: Scenario, *, one_hot: bool, size: int, steps: int) -> None:
-    """Refuse a replay memory of ``size`` rows that there is no memory for.
-
-    ``steps``: of a row, where the loss learns from sequences.
-
-    Raises:
-        ScenarioError: too little memory; the message names the setting and the GB.
-    """
-    network = q_network(loss)
-    frame = NFVEnv(scenario, 1, one_hot=one_hot, observations=network.observations()).fake_tensordict()
-    values = [frame.get(key, None) for key in loss.in_keys]
-    row = sum(value.numel() * value.element_size() for value in values if value is not None)
-    if hasattr(network, "unroll"):
-        row *= steps
-    check_memory({f"buffer.size={size}": float(row) * size})
 
 
 def check_compiler(device: torch.device) -> None:

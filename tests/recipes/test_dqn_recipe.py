@@ -68,9 +68,11 @@ def test_a_run_leaves_everything_that_is_promised(whole_run):
     assert sorted(folder.parent.iterdir()) == [folder]  # no litter beside it
 
 
-def test_a_killed_run_resumes_to_the_bit(whole_run, tmp_path):
-    folder = tmp_path / "run"
-    arguments = [f"run_dir={folder}", *TINY_SCENARIO, *TINY_TRAINING]
+def test_a_killed_run_resumes_to_the_bit(tmp_path):
+    """With priorities, which depend on every update so far."""
+    whole, folder = tmp_path / "whole", tmp_path / "run"
+    assert train(whole, "buffer=prioritized").returncode == 0
+    arguments = [f"run_dir={folder}", *TINY_SCENARIO, *TINY_TRAINING, "buffer=prioritized"]
     process = subprocess.Popen(command("dqn.py", *arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     checkpoints = CheckpointFolder(folder)
     deadline = time.monotonic() + 120
@@ -82,9 +84,10 @@ def test_a_killed_run_resumes_to_the_bit(whole_run, tmp_path):
     assert killed_at < 960, "the run had ended before it was killed"
     done = run("dqn.py", *arguments, "resume=true")
     assert done.returncode == 0, done.stderr
-    whole, _ = whole_run
-    assert_same(load_file(CheckpointFolder(whole).files()[-1]), load_file(checkpoints.files()[-1]))
+    state = load_file(CheckpointFolder(whole).files()[-1])
+    assert_same(state, load_file(checkpoints.files()[-1]))
     assert scalars(folder) == scalars(whole)
+    assert state["buffer"]["sampler"]["largest"]
 
 
 def test_a_truncated_checkpoint_is_named_and_the_one_before_used(whole_run, tmp_path):

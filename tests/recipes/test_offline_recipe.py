@@ -53,6 +53,16 @@ def test_recording_training_resuming_and_reuse(tmp_path, capsys):
     a, b = (load_file(CheckpointFolder(folder).files()[-1])["loss"] for folder in (whole, halves))
     assert all(torch.equal(a[key], b[key]) for key in a)
 
+    # So it does where what is drawn depends on the errors so far.
+    drawn = ["buffer=prioritized", shared]
+    offline(tmp_path / "whole_by_errors", *drawn)
+    offline(tmp_path / "halves_by_errors", *drawn)
+    CheckpointFolder(tmp_path / "halves_by_errors").files()[-1].unlink()
+    offline(tmp_path / "halves_by_errors", *drawn, "resume=true")
+    a, b = (load_file(CheckpointFolder(tmp_path / f"{name}_by_errors").files()[-1]) for name in ("whole", "halves"))
+    assert all(torch.equal(a["loss"][key], b["loss"][key]) for key in a["loss"])
+    assert torch.equal(a["sampler"]["priorities"]["raw"], b["sampler"]["priorities"]["raw"])
+
     # Imitation learns from the same files and reads no reward.
     offline(tmp_path / "clone", shared, "loss=imitation")
     assert (tmp_path / "clone" / "best.pt").exists()

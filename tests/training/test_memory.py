@@ -128,8 +128,11 @@ def test_a_damaged_item_is_refused_by_name(filled, damage):
     [
         ({"size": 3001}, "buffer.size is 3001, outside 0 .. 3000"),
         ({"size": -1}, "buffer.size"),
-        ({"cursor": 3000}, "buffer.cursor"),
-        ({"cursor": 0.5}, "buffer.cursor is a float"),
+        ({"writer": {"_cursor": 3000, "_write_count": 3840}}, "buffer.writer._cursor"),
+        ({"writer": {"_cursor": 0.5, "_write_count": 3840}}, "buffer.writer._cursor is a float"),
+        ({"writer": {"_cursor": 840, "_write_count": 2}}, "buffer.writer._write_count is 2"),
+        ({"writer": {}}, "buffer.writer._cursor is missing"),
+        ({"sampler": {"x": 1}}, "buffer.sampler.x is not known"),
         ({"items": []}, "buffer.items is no mapping"),
         ({"extra": 1}, "buffer.extra is not known"),
     ],
