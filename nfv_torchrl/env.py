@@ -33,6 +33,18 @@ LAST_EPISODE = 2**53
 """More horizons than any environment plays; an episode's number in a checkpoint is below it."""
 
 
+def batch_shape(batch_size: int | Sequence[int]) -> torch.Size:
+    """``batch_size`` of an environment as a shape, of one dimension or none.
+
+    Raises:
+        ScenarioError: it has more.
+    """
+    shape = torch.Size([batch_size] if isinstance(batch_size, int | np.integer) else batch_size)
+    if len(shape) > 1:
+        raise ScenarioError(f"batch_size is {list(shape)}; an environment has one batch dimension, or none ([])")
+    return shape
+
+
 class ActionSpec(Categorical):
     """A ``Categorical`` that stays equal to itself when a transform (TorchRL's ``ActionMask``) puts a mask on it.
 
@@ -58,7 +70,8 @@ class NFVEnv(LeanEnv):
     Args:
         scenarios: one scenario, or several of the same services, horizon and rules; environment b lives in number
             ``b % len(scenarios)``.
-        batch_size: B.
+        batch_size: B, or ``torch.Size([B])``; or ``[]``, one environment without a batch dimension, as TorchRL's
+            batches of environments (``ParallelEnv``, ``SerialEnv``) and its Gymnasium wrappers are made of.
         reward: see ``nfv_torchrl.rewards``; default ``admission_step_cost``.
         one_hot: append one-hot service type, current node, egress and function index to ``observation``.
         observations: further keys to emit; default the request's own numbers under ``request``.
@@ -76,13 +89,13 @@ class NFVEnv(LeanEnv):
         ``Reason``, -1 for none) and ``service`` int64. ``done``, ``terminated`` bool [1].
 
     Raises:
-        ScenarioError: scenarios that do not fit together.
+        ScenarioError: scenarios that do not fit together, or a batch size of several dimensions.
     """
 
     def __init__(
         self,
         scenarios: Scenario | Sequence[Scenario],
-        batch_size: int = 1,
+        batch_size: int | Sequence[int] = 1,
         *,
         reward: rewards.Reward | None = None,
         one_hot: bool = True,
@@ -92,8 +105,9 @@ class NFVEnv(LeanEnv):
         seed: int = 0,
         threads: int = 1,
     ) -> None:
-        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([batch_size]))
-        self.simulator = Simulator(scenarios, batch_size, one_hot=one_hot, threads=threads)
+        shape = batch_shape(batch_size)
+        super().__init__(device=torch.device("cpu"), batch_size=shape)
+        self.simulator = Simulator(scenarios, shape.numel(), one_hot=one_hot, threads=threads)
         self.reward = rewards.prepared(reward, self.simulator)
         self.cost_scale = rewards.cost_scale(self.simulator.tables, self.simulator.world.env["net"])
         self.parts = (RequestObservation(),) if observations is None else tuple(observations)
@@ -103,8 +117,8 @@ class NFVEnv(LeanEnv):
         self.segment = segment
         check_seed(seed)
         self._seed = seed
-        self._episode = np.full(batch_size, -1, np.int64)
-        self._leave_at = np.zeros(batch_size, np.int64)
+        self._episode = np.full(shape.numel(), -1, np.int64)
+        self._leave_at = np.zeros(shape.numel(), np.int64)
         self._continue = False
         self._make_specs()
 
@@ -119,10 +133,11 @@ class NFVEnv(LeanEnv):
             "observation": Unbounded((*batch, view.flat.shape[1]), dtype=torch.float32),
             "action_mask": Binary(self.num_actions, shape=(*batch, self.num_actions), dtype=torch.bool),
             "request_done": Binary(1, shape=(*batch, 1), dtype=torch.bool),
-            "outcome": outcome_spec(self.simulator),
         }
+        of_all = Composite(outcome=outcome_spec(self.simulator), shape=(self.simulator.batch_size,))
         for part in self.parts:
-            spec.update(part.specs(self.simulator))
+            of_all.update(part.specs(self.simulator))
+        spec |= (of_all if batch else of_all[0]).items()
         self.observation_spec = Composite(spec, shape=batch)
         self.action_spec = ActionSpec(self.num_actions, shape=batch, dtype=torch.int64)
         self.reward_spec = Unbounded((*batch, 1), dtype=torch.float32)
@@ -137,11 +152,16 @@ class NFVEnv(LeanEnv):
         """What a controller sees now, in tensors of its own."""
         return read_observation(self.simulator, self.parts)
 
+    def _emit(self, values: dict) -> TensorDictBase:
+        """``values``, [B] each, with what a controller sees now, in the batch size of the environment."""
+        whole = gather(dict(self._observe().items()) | values, self.simulator.batch_size)
+        return whole if self.batch_size else whole[0]
+
     def _memories(self) -> list[MemoryObservation]:
         return [part for part in self.parts if isinstance(part, MemoryObservation)]
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self._act(tensordict.get("action").numpy())
+        self._act(tensordict.get("action").reshape(-1).numpy())
         reward = np.asarray(self.reward(self.simulator.outcome, self.cost_scale), np.float32)
         if not np.isfinite(reward).all():
             raise ScenarioError(
@@ -152,9 +172,9 @@ class NFVEnv(LeanEnv):
         terminated = values["done"]
         done = terminated.clone() if self.segment is None else terminated | self._segments_ended()
         for memory in self._memories():
-            memory.keep(tensordict, done)
+            memory.keep(tensordict if self.batch_size else tensordict.unsqueeze(0), done)
         values |= {"reward": torch.from_numpy(reward).unsqueeze(-1), "done": done, "terminated": terminated}
-        return gather(dict(self._observe().items()) | values, self.batch_size[0])
+        return self._emit(values)
 
     def _segments_ended(self) -> torch.Tensor:
         """Environments between two requests whose segment is over, bool [B, 1]."""
@@ -169,15 +189,15 @@ class NFVEnv(LeanEnv):
         self._continue = False
         # A horizon without any request is over before its first step; a root that is done would be reset for ever, so
         # that is said with the first step instead. Rows that are not reset keep what TorchRL has for them.
-        done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        done = torch.zeros(self.simulator.batch_size, 1, dtype=torch.bool)
         values = read_outcome(self.simulator.world.outcome) | {"done": done, "terminated": done.clone()}
-        return gather(dict(self._observe().items()) | values, self.batch_size[0])
+        return self._emit(values)
 
     def _rows_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:
         partial = None if tensordict is None else tensordict.get("_reset", None)
         if partial is None:
-            return np.arange(self.batch_size[0])
-        return partial.reshape(self.batch_size[0]).nonzero().flatten().numpy()
+            return np.arange(self.simulator.batch_size)
+        return partial.reshape(-1).nonzero().flatten().numpy()
 
     def _start(self, rows: np.ndarray) -> None:
         """The next horizon of each environment of ``rows``."""
@@ -191,7 +211,7 @@ class NFVEnv(LeanEnv):
                 self._loader.forward(b, start_slot, rng)
                 self._leave_at[b] = start_slot + (self.segment or 0)
         for memory in self._memories():
-            memory.forget(rows, self.batch_size[0])
+            memory.forget(rows, self.simulator.batch_size)
 
     def _arrivals(self, b: int, episode: int):
         scenario = self.simulator.scenario(b)
@@ -206,8 +226,8 @@ class NFVEnv(LeanEnv):
         The mask is that of ``tensordict``, or the one that the environment shows now.
         """
         mask = None if tensordict is None else tensordict.get("action_mask", None)
-        mask = self._observe()["action_mask"] if mask is None else mask
-        action = torch.multinomial(mask.flatten(0, -2).float(), 1).view(mask.shape[:-1])
+        mask = self._emit({})["action_mask"] if mask is None else mask
+        action = torch.multinomial(mask.reshape(-1, mask.shape[-1]).float(), 1).view(mask.shape[:-1])
         drawn = TensorDict({"action": action}, batch_size=action.shape)
         return drawn if tensordict is None else tensordict.update(drawn)
 
@@ -255,7 +275,8 @@ class NFVEnv(LeanEnv):
 
     def _load(self, state_dict) -> None:
         """Check the state and take it over, in new arrays, so that those of before can come back."""
-        batch, simulator = self.batch_size[0], self.simulator
+        simulator = self.simulator
+        batch = simulator.batch_size
         check_keys("env", state_dict, self._state_keys())
         episode = state_dict["episode"]
         if isinstance(episode, torch.Tensor) and episode.ndim == 1 and len(episode) != batch:

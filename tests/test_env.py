@@ -17,9 +17,10 @@ from torchrl.envs.utils import check_env_specs
 from nfv_torchrl import rewards
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import CheckpointError, ScenarioError
-from nfv_torchrl.observations import CandidateObservation, GraphObservation, RequestObservation
+from nfv_torchrl.observations import CandidateObservation, GraphObservation, MemoryObservation, RequestObservation
 from nfv_torchrl.scenario.scenario import Scenario, paper_scenario
 from nfv_torchrl.simulator import Reason
+from nfv_torchrl.training.random_policy import RandomPolicy
 
 # These policies need no InitTracker, which a collector of a later TorchRL would add.
 pytestmark = pytest.mark.filterwarnings("ignore:The env passed to Collector:FutureWarning")
@@ -37,7 +38,7 @@ def masked_random(generator: torch.Generator | None = None):
     """A policy: any valid action, each as likely."""
 
     def act(mask: torch.Tensor) -> torch.Tensor:
-        rows = torch.multinomial(mask.flatten(0, -2).float(), 1, generator=generator)
+        rows = torch.multinomial(mask.reshape(-1, mask.shape[-1]).float(), 1, generator=generator)
         return rows.view(mask.shape[:-1])
 
     return TensorDictModule(act, in_keys=["action_mask"], out_keys=["action"])
@@ -101,6 +102,34 @@ def test_specs(option, batch_size):
     ended, accepted = data["next", "request_done"], data["next", "outcome", "accepted"]
     assert torch.equal(data["next", "outcome", "reason"] >= 0, ended & ~accepted)
     assert torch.equal(data["next", "outcome", "request_cost"] > 0, accepted)
+
+
+def test_the_batch_size_is_a_number_or_a_shape():
+    scenario = tiny(failures=FAILING)
+    make = partial(NFVEnv, scenario, observations=[*EVERY_PART, MemoryObservation(3)], stagger=True, segment=4)
+    wide = make(torch.Size([3]))
+    check_env_specs(wide)
+    wide.set_seed(0)
+    assert_same(rollout(wide, 50), rollout(make(3), 50))
+    with pytest.raises(ScenarioError, match=r"batch_size is \[2, 3\]; an environment has one batch dimension"):
+        make((2, 3))
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_an_environment_without_a_batch_dimension(option):
+    scenario, settings = OPTIONS[option]
+    alone, batch = NFVEnv(tiny(**scenario), [], **settings), NFVEnv(tiny(**scenario), 1, **settings)
+    check_env_specs(alone)
+    alone.set_seed(0)
+    batch.set_seed(0)
+    assert alone.action_spec.shape == () and alone.rand_action()["action"].shape == ()
+    assert_same(rollout(alone, 60), rollout(batch, 60)[0])
+    frames = Collector(alone, RandomPolicy(), frames_per_batch=40, total_frames=80)
+    assert [data.shape for data in frames] == [(40,), (40,)]
+    state, other = copy.deepcopy(alone.state_dict()), NFVEnv(tiny(**scenario), [], **settings)
+    other.load_state_dict(state)
+    alone.load_state_dict(state)
+    assert_same(rollout(other, 20), rollout(alone, 20))
 
 
 def test_networks_of_different_sizes():

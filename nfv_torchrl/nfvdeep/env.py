@@ -28,7 +28,7 @@ class NFVdeepEnv(NFVEnv):
 
     Args:
         scenarios: as for ``NFVEnv``; reject is always possible in the simulator, so that a failed plan can be refused.
-        batch_size: B.
+        batch_size: as for ``NFVEnv``.
         planner: how plans are made of decisions.
         reward: as for ``NFVEnv``; default ``Profit``.
         stagger: as for ``NFVEnv``.
@@ -47,7 +47,7 @@ class NFVdeepEnv(NFVEnv):
     def __init__(
         self,
         scenarios: Scenario | Sequence[Scenario],
-        batch_size: int = 1,
+        batch_size: int | Sequence[int] = 1,
         *,
         planner: NFVdeepPlanner | None = None,
         reward: Reward | None = None,
@@ -78,7 +78,7 @@ class NFVdeepEnv(NFVEnv):
 
     def _make_specs(self) -> None:
         world = self.simulator.world
-        self.drafts = make_drafts(world.tables, world.rules, self.batch_size[0])
+        self.drafts = make_drafts(world.tables, world.rules, self.simulator.batch_size)
         super()._make_specs()
         batch = self.batch_size
         spec = self.observation_spec.clone()
@@ -94,7 +94,7 @@ class NFVdeepEnv(NFVEnv):
 
     def _observe(self) -> TensorDict:
         flat, mask = torch.from_numpy(self.drafts.flat).clone(), torch.from_numpy(self.drafts.mask).clone()
-        return gather({"observation": flat, "action_mask": mask}, self.batch_size[0])
+        return gather({"observation": flat, "action_mask": mask}, self.simulator.batch_size)
 
     def _start(self, rows: np.ndarray) -> None:
         super()._start(rows)

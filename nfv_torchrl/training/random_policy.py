@@ -33,7 +33,7 @@ def pick_from_mask(mask, states, actions):
 
 
 class RandomPolicy(TensorDictModuleBase):
-    """Reads ``action_mask`` bool [B, A], writes ``action`` int64 [B]. Every row of a mask has a valid action."""
+    """Reads ``action_mask`` bool [..., A], writes ``action`` int64 [...]. Every row of a mask has a valid action."""
 
     def __init__(self, seed: int = 0) -> None:
         super().__init__()
@@ -43,9 +43,9 @@ class RandomPolicy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         mask = tensordict.get("action_mask")
-        rows = mask.shape[0]
-        if self._states.size < rows:
-            self._states = self._rng.integers(1, 2**63, rows).astype(np.uint64)
-        actions = torch.empty(rows, dtype=torch.int64)
-        pick_from_mask(mask.cpu().numpy(), self._states, actions.numpy())
+        flat = mask.reshape(-1, mask.shape[-1])
+        if self._states.size < len(flat):
+            self._states = self._rng.integers(1, 2**63, len(flat)).astype(np.uint64)
+        actions = torch.empty(mask.shape[:-1], dtype=torch.int64)
+        pick_from_mask(flat.cpu().numpy(), self._states, actions.reshape(-1).numpy())
         return tensordict.set("action", actions.to(mask.device))

@@ -82,8 +82,8 @@ class Dataset:
             raise ScenarioError(f"dataset: {folder} is in run_dir; leave it null, or name a folder of its own")
         self.origin = json.loads(json.dumps(origin))
         self.env = env
-        self.batch = (env.batch_size[0], steps)
-        self.num_parts = -(-frames // (env.batch_size[0] * steps))
+        self.batch = (env.simulator.batch_size, steps)
+        self.num_parts = -(-frames // (env.simulator.batch_size * steps))
         self.forms = {
             name: Form(value.numpy().dtype, (*self.batch, *value.shape[1:]))
             for name, value in flat_keys(env.fake_tensordict())
