@@ -4,9 +4,9 @@
     python recipes/compare_losses.py only=[dqn,n_step] seeds=5 frames=600_000 explored=200_000
     python recipes/compare_losses.py scenario=heavy output=runs/losses_heavy
 
-Every training is a run of its recipe in a process of its own, ``jobs`` of them at once. What has been computed before
-is not computed again, an interrupted run goes on from its checkpoint, and a loss of your own is one more entry of
-``losses`` (``+losses.mine.overrides=[loss=mine]``).
+Every training is a run of its recipe in a process of its own, ``parallel.jobs`` of them at once. What has been computed
+before is not computed again, an interrupted run goes on from its checkpoint, and a loss of your own is one more entry
+of ``losses`` (``+losses.mine.overrides=[loss=mine]``).
 
 Writes to ``output``: ``losses.md``, ``losses.csv``, ``learning_curves_*.png/pdf/csv``, and the runs themselves.
 """
@@ -17,13 +17,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import csv_text
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
+from nfv_torchrl.experiments.computing import compute
 from nfv_torchrl.experiments.losses import FLOOR, draw_curves, loss_table, table_rows
-from nfv_torchrl.experiments.pool import compute
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
 from nfv_torchrl.scenario.scenario import Scenario
@@ -51,7 +52,7 @@ def main(cfg: DictConfig) -> None:
     }
     cells = [*floor.values(), *(cell for runs in tested.values() for cell in runs)]
     claim("output", store.folder, "cells")
-    failures = compute(cells, store, jobs=config["jobs"], report=print_progress)
+    failures = compute(cells, store, workers=instantiate(cfg.parallel), report=print_progress)
 
     tested = {name: runs for name, runs in tested.items() if all(store.has(cell) for cell in runs)}
     rows = table_rows(tested, floor["workloads"], store, config["reference"])

@@ -4,6 +4,7 @@
     python recipes/evaluate.py method=[greedy,checkpoint] checkpoint=runs/dqn/best.pt scenario=paper output=runs/table
     python recipes/evaluate.py scenario=heavy scenario.colocation=true method=[greedy,priced_admit] bounds=true
     python recipes/evaluate.py scenario=heavy scenario_seeds=10 method=[greedy,myopic_optimal] bounds=true
+    python recipes/evaluate.py seeds=100 bounds=true parallel.jobs=8
 
 Prints the mean and the 95 % confidence interval of every metric over the workload seeds, and paired differences to a
 reference method. With scenario_seeds the network changes with the workload, and intervals are over networks. With
@@ -15,22 +16,24 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from nfv_torchrl.errors import AuditError, ScenarioError
 from nfv_torchrl.evaluation.audit import audit_folders, find_runs
-from nfv_torchrl.evaluation.bounds import aar_bounds
 from nfv_torchrl.evaluation.comparison import Comparison
-from nfv_torchrl.evaluation.records import write_run
+from nfv_torchrl.evaluation.records import RunRecord, write_run
 from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.evaluation.spread import bounds_of, pieces, run_piece
 from nfv_torchrl.evaluation.tables import render, write_summary
 from nfv_torchrl.folders import claim
 from nfv_torchrl.methods import Method, methods_from_config
+from nfv_torchrl.parallel import Workers
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvaluateSettings, read_settings
 from nfv_torchrl.settings.values import list_of_seeds
@@ -50,14 +53,11 @@ def main(cfg: DictConfig) -> None:
     worlds = scenarios * len(seeds) if len(scenarios) == 1 else scenarios
 
     with output_folder(config["output"], methods, seeds) as folder:
-        for method in methods:
-            requests = sum(len(world.workload(seed)) for world, seed in zip(worlds, seeds, strict=True))
-            with tqdm(total=requests, desc=method.name, unit="request", disable=None) as bar:
-                records = run_method(scenarios, method, seeds, progress=bar.update)
-            for record in records:
-                write_run(folder / method.name / f"seed_{record.workload_seed}", record, comparison.add(record))
-        if cfg.bounds:
-            add_bounds(comparison, worlds, seeds)
+        with instantiate(cfg.parallel) as workers:
+            for record in run_all(config["method"], methods, scenarios, seeds, workers):
+                write_run(folder / record.method / f"seed_{record.workload_seed}", record, comparison.add(record))
+            if cfg.bounds:
+                add_bounds(comparison, worlds, seeds, workers)
         write_summary(folder, comparison, reference)
         print(render(comparison, reference))
         if cfg.audit:
@@ -123,11 +123,37 @@ def output_folder(output: str | None, methods: Sequence[Method], seeds: Sequence
     yield folder
 
 
-def add_bounds(comparison: Comparison, worlds: Sequence[Scenario], seeds: Sequence[int]) -> None:
+def run_all(
+    entries: Mapping[str, Any],
+    methods: Sequence[Method],
+    scenarios: Sequence[Scenario],
+    seeds: Sequence[int],
+    workers: Workers,
+) -> Iterator[RunRecord]:
+    """The records of all methods, one after the other here, or in pieces by several workers."""
+    if workers.jobs > 1:
+        work = [
+            piece
+            for (key, entry), method in zip(entries.items(), methods, strict=True)
+            for piece in pieces({key: entry}, method, scenarios, seeds)
+        ]
+        for records in tqdm(workers.map(run_piece, work), total=len(work), unit="run", disable=None):
+            yield from records
+        return
+    worlds = list(scenarios) * len(seeds) if len(scenarios) == 1 else scenarios
+    requests = sum(len(world.workload(seed)) for world, seed in zip(worlds, seeds, strict=True))
+    for method in methods:
+        with tqdm(total=requests, desc=method.name, unit="request", disable=None) as bar:
+            records = run_method(scenarios, method, seeds, progress=bar.update)
+        yield from records
+
+
+def add_bounds(comparison: Comparison, worlds: Sequence[Scenario], seeds: Sequence[int], workers: Workers) -> None:
     """Upper bounds on AAR; ``worlds``: the scenario of each of the ``seeds``."""
     runs = list(zip(worlds, seeds, strict=True))
-    for scenario, seed in tqdm(runs, desc="bounds", unit="seed", disable=None):
-        for name, aar in aar_bounds(scenario, seed).items():
+    found = tqdm(workers.map(bounds_of, runs), total=len(runs), desc="bounds", unit="seed", disable=None)
+    for seed, bounds in zip(seeds, found, strict=True):
+        for name, aar in bounds.items():
             comparison.add_bound(name, seed, aar)
 
 

@@ -43,7 +43,7 @@ from nfv_torchrl.training.setup import StopRequest, seed_everything, set_threads
 @recipe("evolution")
 def main(cfg: DictConfig) -> None:
     read_settings(cfg, EvolutionSettings)
-    set_threads(1)  # the threads are the arena's
+    set_threads(1)  # more work at once is for the arena
     seed_everything(cfg.seed)
     config = OmegaConf.to_container(cfg, resolve=True)
     scenario = Scenario.from_config(config["scenario"])
@@ -56,7 +56,7 @@ def main(cfg: DictConfig) -> None:
         load_weights(policy.network, cfg.init_from)
     tasks = instantiate(config["tasks"], scenario=config["scenario"])
     held_out = tasks.draw(cfg.eval.seed, 0, cfg.eval.tasks)
-    arena = Arena(threads=cfg.threads, **cfg.fitness)
+    arena = Arena(instantiate(cfg.parallel), **cfg.fitness)
     strategy = Strategy(policy.vector(), **cfg.strategy, seed=cfg.seed)
 
     progress = Progress()
@@ -81,7 +81,7 @@ def main(cfg: DictConfig) -> None:
             progress.best_frames = progress.frames
             folder.save_best(policy_content(centre, sizes, config, centre.settings(scenario), values))
 
-    with StopRequest() as stop:
+    with arena.workers, StopRequest() as stop:
         while strategy.generation < cfg.generations and not stop.asked:
             started = time.perf_counter()
             horizons = tasks.draw(cfg.seed, strategy.generation, cfg.generation.tasks)
@@ -105,12 +105,12 @@ def main(cfg: DictConfig) -> None:
             if strategy.generation % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
 
-    bar.close()
-    if cfg.eval.interval and strategy.generation % cfg.eval.interval and not stop.asked:
-        evaluate()
+        bar.close()
+        if cfg.eval.interval and strategy.generation % cfg.eval.interval and not stop.asked:
+            evaluate()
+
     folder.save(state, progress.frames)
     logger.close()
-    arena.close()
     print(f"Processor time: {time.process_time():.0f} s")
     folder.print_ending(interrupted=stop.asked)
 

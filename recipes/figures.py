@@ -17,15 +17,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from nfv_torchrl.experiments.catalogue import chosen
 from nfv_torchrl.experiments.cells import Cell, CellStore, with_needs
+from nfv_torchrl.experiments.computing import compute
 from nfv_torchrl.experiments.drawing import Experiment
-from nfv_torchrl.experiments.pool import compute
 from nfv_torchrl.experiments.study import Study
 from nfv_torchrl.folders import claim
+from nfv_torchrl.parallel import Workers
 from nfv_torchrl.settings.recipes import FiguresSettings, read_settings
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
@@ -39,14 +41,14 @@ def main(cfg: DictConfig) -> None:
     recipes = Path(__file__).parent
     study, store = Study(config, recipes), CellStore(run_folder(config["output"], "output"), recipes)
     figures = chosen(config["figure"])
-    failures = compute_all(figures, study, store, cfg.jobs)
+    failures = compute_all(figures, study, store, instantiate(cfg.parallel))
     draw_all(figures, study, store, failures)
     if failures:
         print("\n".join([f"\n{len(failures)} cells failed:", *(f"  {key}: {why}" for key, why in failures.items())]))
         sys.exit(1)
 
 
-def compute_all(figures: Mapping[str, Experiment], study: Study, store: CellStore, jobs: int) -> dict[str, str]:
+def compute_all(figures: Mapping[str, Experiment], study: Study, store: CellStore, workers: Workers) -> dict[str, str]:
     """Compute what the store lacks, under a progress bar; returns what failed."""
     cells = with_needs(cell for figure in figures.values() for cell in figure.cells(study))
     claim("output", store.folder, "cells")
@@ -61,7 +63,7 @@ def compute_all(figures: Mapping[str, Experiment], study: Study, store: CellStor
             bar.update()
             bar.set_postfix_str(", ".join(other.label for other in atwork))
 
-        return compute(cells, store, jobs=jobs, report=report)
+        return compute(cells, store, workers=workers, report=report)
 
 
 def draw_all(figures: Mapping[str, Experiment], study: Study, store: CellStore, failures: Mapping[str, str]) -> None:

@@ -19,6 +19,7 @@ from typing import Any, cast
 
 from hydra import compose
 from hydra.errors import HydraException
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
@@ -27,7 +28,7 @@ from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
 from nfv_torchrl.evaluation.statistics import mean_interval, paired_difference
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
-from nfv_torchrl.experiments.pool import compute
+from nfv_torchrl.experiments.computing import compute
 from nfv_torchrl.experiments.rows import paired_cost, values
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
@@ -51,7 +52,7 @@ def main(cfg: DictConfig) -> None:
     bounds = {name: bound(config, name, world) for name, world in worlds.items() if config["bounds"]}
     wanted = [*(cell for found in cells.values() for cell in found.values()), *bounds.values()]
     claim("output", store.folder, "cells")
-    failures = compute(wanted, store, jobs=config["jobs"], report=print_progress)
+    failures = compute(wanted, store, workers=instantiate(cfg.parallel), report=print_progress)
 
     there = [name for name, found in cells.items() if all(map(store.has, found.values()))]
     rows = [row for name in there for row in network_rows(name, worlds[name], cells[name], bounds.get(name), store)]

@@ -11,11 +11,11 @@ config/tune_priced.yaml.
 from __future__ import annotations
 
 import itertools
-import multiprocessing
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
@@ -49,8 +49,8 @@ def main(cfg: DictConfig) -> None:
         claim_file("output", output, lambda path: path.read_text("utf-8", "replace").startswith(COLUMNS))
     settings: list[Setting] = list(itertools.product(config["prices"], config["steepness"], config["thresholds"]))
     work = [(setting, worlds, config["seeds"]) for setting in [None, *settings]]
-    with multiprocessing.get_context("spawn").Pool(cfg.jobs) as pool:
-        answers = list(tqdm(pool.imap(measure, work), total=len(work), unit="setting", disable=None))
+    with instantiate(cfg.parallel) as workers:
+        answers = list(tqdm(workers.map(measure, work), total=len(work), unit="setting", disable=None))
     myopic, *priced = answers  # each [loads x colocation, networks, (AAR, cost)]
     rows = [row(setting, answer, myopic) for setting, answer in zip(settings, priced, strict=True)]
     rows.sort(key=lambda row: (-row["aar_gain"], row["cost_per_accepted"]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from statistics import fmean
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from nfv_torchrl.evaluation.statistics import cost_ratio
 from nfv_torchrl.evolution.tasks import Task
 from nfv_torchrl.methods.evolved import Evolvable, Player
 from nfv_torchrl.networks.prices import PriceNetwork
+from nfv_torchrl.parallel import Joblib, Workers
 from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.simulator import Simulator
 
@@ -41,8 +42,16 @@ def summary(scores: Sequence[Score]) -> dict[str, float]:
     return {"fitness": fitness, "aar": aar, "aar_gain": aar - myopic, "paired_cost": paired}
 
 
+class Weights(NamedTuple):
+    """What the fitness weighs, see ``Arena``."""
+
+    cost_weight: float = 1.0
+    saving_weight: float = 0.05
+    spread: float = 0.01
+
+
 class Arena:
-    """Plays policies on tasks in several threads; results do not depend on how many.
+    """Plays policies on tasks, several at the same time; results do not depend on how many, nor where.
 
     The fitness of a task is (AAR - AAR of ``myopic_optimal``) / (gap + spread) - cost_weight * max(0, paired cost - 1)
     - saving_weight * (paired cost - 1). ``gap`` is what the bound on AAR leaves above ``myopic_optimal`` (the
@@ -50,54 +59,61 @@ class Arena:
     one with much.
 
     Args:
-        threads: threads, each with simulators of its own.
+        workers: who plays, each with simulators of its own; threads serve well, since playing is compiled. What they
+            have started has to be there, and is ended by whoever made them.
         cost_weight: for every unit by which the paired cost exceeds that of ``myopic_optimal``.
         saving_weight: for the paired cost itself, above or below.
         spread: keeps the division tame where there is hardly a gap.
     """
 
     def __init__(
-        self, *, threads: int = 2, cost_weight: float = 1.0, saving_weight: float = 0.05, spread: float = 0.01
+        self,
+        workers: Workers | None = None,
+        *,
+        cost_weight: float = 1.0,
+        saving_weight: float = 0.05,
+        spread: float = 0.01,
     ) -> None:
-        self.threads = threads
-        self.cost_weight, self.saving_weight, self.spread = cost_weight, saving_weight, spread
-        self._pool = ThreadPoolExecutor(threads)
+        self.workers = Joblib(jobs=1) if workers is None else workers
+        self.weights = Weights(cost_weight, saving_weight, spread)
 
     def scores(self, policies: Sequence[Evolvable], tasks: Sequence[Task]) -> list[list[Score]]:
         """Every policy on every task: a list for each policy."""
-        baselines = list(self._pool.map(self._baseline, tasks))
-        jobs = [(policy, task, base) for policy in policies for task, base in zip(tasks, baselines, strict=True)]
-        flat = list(self._pool.map(lambda job: self._score(*job), jobs))
+        baselines = list(self.workers.map(baseline, tasks))
+        games = [(policy, task, base) for policy in policies for task, base in zip(tasks, baselines, strict=True)]
+        flat = list(self.workers.map(partial(score, weights=self.weights), games))
         size = len(tasks)
         return [flat[first : first + size] for first in range(0, len(flat), size)]
 
-    def _baseline(self, task: Task) -> Baseline:
-        costs = self._costs(LearnedPrices(PriceNetwork().weights()), task)
-        myopic = float(np.isfinite(costs).mean())
-        if myopic == 1.0:
-            return Baseline(costs, 0.0)
-        upper = hindsight_bound if task.scenario.observe_lifetime else blind_bound
-        return Baseline(costs, max(upper(task.scenario, task.workload, task.timeline).aar - myopic, 0.0))
 
-    def _score(self, policy: Evolvable, task: Task, baseline: Baseline) -> Score:
-        settled = Task(policy.settings(task.scenario), task.workload, task.timeline)
-        costs = self._costs(policy.player(), settled)
-        paired = cost_ratio(costs, baseline.costs)
-        paired = 1.0 if math.isnan(paired) else paired
-        aar, myopic = float(np.isfinite(costs).mean()), float(np.isfinite(baseline.costs).mean())
-        gain = (aar - myopic) / (baseline.gap + self.spread)
-        fitness = gain - self.cost_weight * max(0.0, paired - 1.0) - self.saving_weight * (paired - 1.0)
-        return Score(aar, myopic, paired, fitness)
+def baseline(task: Task) -> Baseline:
+    """What ``myopic_optimal`` does on a task."""
+    costs = costs_of(LearnedPrices(PriceNetwork().weights()), task)
+    myopic = float(np.isfinite(costs).mean())
+    if myopic == 1.0:
+        return Baseline(costs, 0.0)
+    upper = hindsight_bound if task.scenario.observe_lifetime else blind_bound
+    return Baseline(costs, max(upper(task.scenario, task.workload, task.timeline).aar - myopic, 0.0))
 
-    def _costs(self, player: Player, task: Task) -> np.ndarray:
-        """What every request of the task cost ($), float64 [R], NaN if it was not accepted."""
-        simulator = Simulator(task.scenario, 1)
-        simulator.start(0, task.workload, task.timeline)
-        player.prepare(simulator.world)
-        costs = np.full(len(task.workload), np.nan)
-        player.play(simulator, 0, costs)
-        return costs
 
-    def close(self) -> None:
-        """End the threads."""
-        self._pool.shutdown()
+def score(game: tuple[Evolvable, Task, Baseline], weights: Weights) -> Score:
+    """How a policy does on a task."""
+    policy, task, base = game
+    settled = Task(policy.settings(task.scenario), task.workload, task.timeline)
+    costs = costs_of(policy.player(), settled)
+    paired = cost_ratio(costs, base.costs)
+    paired = 1.0 if math.isnan(paired) else paired
+    aar, myopic = float(np.isfinite(costs).mean()), float(np.isfinite(base.costs).mean())
+    gain = (aar - myopic) / (base.gap + weights.spread)
+    fitness = gain - weights.cost_weight * max(0.0, paired - 1.0) - weights.saving_weight * (paired - 1.0)
+    return Score(aar, myopic, paired, fitness)
+
+
+def costs_of(player: Player, task: Task) -> np.ndarray:
+    """What every request of the task cost ($), float64 [R], NaN if it was not accepted."""
+    simulator = Simulator(task.scenario, 1)
+    simulator.start(0, task.workload, task.timeline)
+    player.prepare(simulator.world)
+    costs = np.full(len(task.workload), np.nan)
+    player.play(simulator, 0, costs)
+    return costs

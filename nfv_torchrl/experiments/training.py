@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import at_work
+from nfv_torchrl.parallel.worker import before_leaving
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.setup import quote
 
@@ -75,12 +77,15 @@ def drop_checkpoints(cell: Cell, store: CellStore) -> None:
         checkpoint.unlink()
 
 
-def stop(number: int, frame: FrameType | None) -> None:
-    """For a worker's signals: the recipe that it waits for saves and ends, and it starts no other."""
+def stop(number: int = signal.SIGTERM, frame: FrameType | None = None) -> None:
+    """The recipe that this process waits for saves and ends, and it starts no other; also for a worker's signals."""
     global stopping
     stopping = True
     if running is not None:
         running.terminate()
+
+
+before_leaving.append(stop)
 
 
 def _wait_for(folder: Path) -> None:

@@ -62,6 +62,7 @@ Storage = Annotated[Mapped, Target("max_size", has=("get", "set"))]
 Sampler = Annotated[Mapped, Target("max_capacity", has=("sample", "state_dict"))]
 Writer = Annotated[Mapped, Target(has=("extend", "state_dict"))]
 Methods = dict[str, Annotated[Mapped, Target("scenario", partial=None)]]
+Parallel = Annotated[Mapped, Target(has=("unordered", "map"))]
 Overrides = tuple[str, ...]
 Nodes = Annotated[int, Exact(), Bounds(at_least=2)]
 Some = NotEmpty()
@@ -314,7 +315,7 @@ class EvolutionSettings(Run):
     tasks: Annotated[Mapped, Target("scenario")]
     policy: Evolved
     strategy: Search
-    threads: Threads
+    parallel: Parallel
     generations: Count
     init_from: str | None
     generation: Generation
@@ -338,6 +339,7 @@ class EvaluateSettings:
     bounds: bool
     audit: bool
     threads: Threads
+    parallel: Parallel
 
     def __post_init__(self) -> None:
         check_checkpoint(self.checkpoint, self.method)
@@ -360,7 +362,7 @@ class TransferSettings:
     overrides: Overrides
     seeds: Count
     bounds: bool
-    jobs: Threads
+    parallel: Parallel
     output: str
 
 
@@ -438,7 +440,7 @@ class FiguresSettings:
     budget: Budget
     figure: str | Overrides
     output: str
-    jobs: Threads
+    parallel: Parallel
     colocation: Colocations
     trained: dict[str, TrainedMethod]
     rewards: dict[str, RewardCurve]
@@ -464,7 +466,7 @@ class CompareLossesSettings:
     eval_seeds: SeedList
     reference: str
     only: Overrides | None
-    jobs: Threads
+    parallel: Parallel
     output: str
     overrides: Overrides
     settings: dict[str, Overrides]
@@ -532,7 +534,7 @@ class TunePricedSettings:
     steepness: Annotated[tuple[Annotated[float, Bounds(above=1)], ...], Some]
     thresholds: Annotated[tuple[NotNegative | None, ...], Some]
     output: str | None
-    jobs: Threads
+    parallel: Parallel
 
 
 @dataclass(frozen=True)

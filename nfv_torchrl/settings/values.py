@@ -21,7 +21,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 
-RENAMED = {"checkpoint": "saving", "start": "init_from"}
+RENAMED = {"checkpoint": "saving", "start": "init_from", "jobs": "parallel.jobs", "threads": "parallel.jobs"}
 """Settings that had another name in an earlier version."""
 LONGEST_SHOWN = 100
 PLAIN = {bool: "true or false", str: "text", int: "an integer", float: "a finite number"}
@@ -255,8 +255,8 @@ def refuse_key(name: str, known: Iterable[str]) -> NoReturn:
         ScenarioError: always.
     """
     names = [str(key) for key in known]
-    renamed = RENAMED.get(name)
-    if renamed in names:
+    renamed = RENAMED.get(name, "")
+    if renamed.partition(".")[0] in names:
         raise ScenarioError(f"{name}: was renamed to {renamed}; use that")
     close = difflib.get_close_matches(name.rpartition(".")[2], names, n=1)
     guess = f"did you mean {close[0]!r}? " if close else ""

@@ -44,7 +44,7 @@ from nfv_torchrl.training.setup import quote, run_folder
 
 MAY_CHANGE = (
     "resume", "run_dir", "device", "logger", "saving", "generations",
-    "collector.total_frames",
+    "collector.total_frames", "parallel",
 )  # fmt: skip
 """Config keys that a resumed run may set anew."""
 _NOT_PLAIN = r"[^\w./+-]"

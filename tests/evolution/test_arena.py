@@ -12,10 +12,11 @@ from nfv_torchrl.bounds.bound import blind_bound
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evolution import CandidatePolicy, FixedNetwork, PricePolicy
-from nfv_torchrl.evolution.fitness import Arena
+from nfv_torchrl.evolution.fitness import Arena, costs_of
 from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, Sizes
 from nfv_torchrl.networks.prices import PriceNetwork
+from nfv_torchrl.parallel import Joblib
 from nfv_torchrl.planners import MyopicPlanner
 from nfv_torchrl.simulator import Simulator
 
@@ -40,7 +41,7 @@ def candidate_policy(activation: str = "ReLU") -> CandidatePolicy:
 def test_fitness_by_its_definition():
     (task,) = SOURCE.draw(0, 0, 1)
     policy = price_policy(3)
-    ((score,),) = Arena(threads=1, cost_weight=2.0, saving_weight=0.1, spread=0.05).scores([policy], [task])
+    ((score,),) = Arena(cost_weight=2.0, saving_weight=0.1, spread=0.05).scores([policy], [task])
     ours, myopic = (
         run_method(task.scenario, method, [0], workloads=[task.workload])[0]
         for method in (policy.method("ours"), PlannerMethod(MyopicPlanner(), name="myopic_optimal"))
@@ -55,10 +56,12 @@ def test_fitness_by_its_definition():
     assert score.fitness == pytest.approx(gain - 2.0 * max(0, paired - 1) - 0.1 * (paired - 1))
 
 
-def test_threads_change_nothing():
+@pytest.mark.parametrize("workers", [Joblib(jobs=3, backend="threading"), Joblib(jobs=2)], ids=["threads", "loky"])
+def test_workers_change_nothing(workers):
     tasks = SOURCE.draw(0, 0, 2)
     policies = [price_policy(seed) for seed in range(3)]
-    alone, together = (Arena(threads=threads).scores(policies, tasks) for threads in (1, 3))
+    with workers:
+        alone, together = (Arena(each).scores(policies, tasks) for each in (None, workers))
     assert alone == together and len(alone) == 3 and len(alone[0]) == 2
 
 
@@ -66,7 +69,7 @@ def test_threads_change_nothing():
 def test_compiled_candidates_are_the_torch_policy(activation):
     (task,) = SOURCE.draw(0, 0, 1)
     policy = candidate_policy(activation)
-    costs = Arena(threads=1)._costs(policy.player(), task.__class__(policy.settings(task.scenario), *_rest(task)))
+    costs = costs_of(policy.player(), task.__class__(policy.settings(task.scenario), *_rest(task)))
     (record,) = run_method(task.scenario, policy.method("candidate"), [0], workloads=[task.workload])
     assert 0 < record.accepted.mean() < 1
     np.testing.assert_array_equal(np.isfinite(costs), record.accepted)

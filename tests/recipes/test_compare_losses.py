@@ -21,7 +21,7 @@ def rows_of(path):
         return list(csv.DictReader(file))
 
 
-def pretend(cells, store, *, jobs, report):
+def pretend(cells, store, *, workers, report):
     """Results as they would be: two workloads 0.02 apart around the AAR of each training seed."""
     for cell in cells:
         for need in (*cell.needs, cell):
@@ -64,7 +64,7 @@ def test_an_unknown_loss_is_named(tmp_path, capsys):
 def test_for_real_and_not_twice(tmp_path, monkeypatch, capsys):
     tiny = [text for text in TINY_TRAINING if not text.startswith(("eval.", "logger.figures"))]
     quoted = ",".join(f"'{text}'" for text in [*tiny, "collector.total_frames=96", "eval.interval=2"])
-    arguments = ["only=[dqn]", "seeds=1", "workloads=2", "eval_seeds=[1000]", "jobs=1", f"output={tmp_path}"]
+    arguments = ["only=[dqn]", "seeds=1", "workloads=2", "eval_seeds=[1000]", "parallel.jobs=1", f"output={tmp_path}"]
     call("compare_losses", *arguments, f"settings.dqn=[{quoted}]", *TINY_SCENARIO)
     assert "| dqn | " in (tmp_path / "losses.md").read_text()
     done = []

@@ -13,9 +13,10 @@ from tiny import ROOT, TINY_SCENARIO
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.experiments import training, work
 from nfv_torchrl.experiments.cells import CellStore, make_cell
-from nfv_torchrl.experiments.pool import compute
+from nfv_torchrl.experiments.computing import compute
 from nfv_torchrl.experiments.training import run_folder
 from nfv_torchrl.folders import claim
+from nfv_torchrl.parallel import Joblib
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 
 WORLD = {"substrate": {"nodes": 5}, "horizon": 60, "arrival_rate": 4.0, "mean_lifetime": 40.0}
@@ -44,7 +45,7 @@ def test_under_a_path_with_anything_in_it(tmp_path, monkeypatch):
     log = run_folder(cell, store).with_suffix(".log").read_text()
     assert log.count("Resumed from") == 1 and "older run" not in log
     assert [point["frames"] for point in store.read(cell)["eval"]] == [32]
-    assert compute([cell], store, jobs=1) == {} and not checkpoints.files()
+    assert compute([cell], store, workers=Joblib(jobs=1)) == {} and not checkpoints.files()
 
 
 def test_a_worker_told_to_stop_lets_its_recipe_save(tmp_path, monkeypatch):

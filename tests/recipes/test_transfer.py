@@ -44,7 +44,7 @@ def rows_of(folder):
 
 
 def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
-    def pretend(cells, store, *, jobs, report):
+    def pretend(cells, store, *, workers, report):
         for cell in cells:
             name = cell.label.removeprefix("paper-")
             store.write(cell, {"rho": 1.0, "metrics": {str(s): {"aar": aar} for s, aar in enumerate(AAR[name])}})
@@ -84,7 +84,7 @@ def test_for_real_on_other_sizes_and_not_twice(tmp_path, policy, monkeypatch, ca
         *networks,
         "only=[six,real]",
         "seeds=2",
-        "jobs=1",
+        "parallel.jobs=1",
         f"output={tmp_path / 'out'}",
     ]
     call("transfer", *arguments, "bounds=true")
@@ -115,7 +115,7 @@ def test_loads_and_draws_of_a_network(tmp_path, policy):
         "draws=true",
         "overrides=['scenario.colocation=true']",
         "seeds=2",
-        "jobs=1",
+        "parallel.jobs=1",
         f"output={tmp_path / 'out'}",
     )
     found = rows_of(tmp_path / "out")

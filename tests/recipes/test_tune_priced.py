@@ -16,7 +16,7 @@ SMALL = [
     "prices=[0,400]",
     "steepness=[3000]",
     "thresholds=[null,500]",
-    "jobs=1",
+    "parallel.jobs=1",
 ]
 
 
