@@ -6,16 +6,17 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from types import TracebackType
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import joblib
 
 from nfv_torchrl.errors import ScenarioError, one_line
 from nfv_torchrl.parallel.worker import Home, Outcome, attempt
-from nfv_torchrl.settings.values import Threads
+from nfv_torchrl.settings.values import OneOf, Threads
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Backend = Annotated[str, OneOf("loky", "threading")]
 
 
 class WorkerKilled(RuntimeError):
@@ -111,7 +112,7 @@ class Joblib(Workers):
         backend: ``loky``: processes; ``threading``: threads, for work that lets go of Python's lock.
     """
 
-    def __init__(self, jobs: Threads = 2, backend: Literal["loky", "threading"] = "loky") -> None:
+    def __init__(self, jobs: Threads = 2, backend: Backend = "loky") -> None:
         super().__init__(jobs)
         self.backend = backend
 
