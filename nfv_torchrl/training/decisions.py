@@ -68,7 +68,14 @@ class FunctionDecisions:
         one_hot: bool = False,
         **options: Any,
     ) -> NFVdeepEnv:
-        """The environment that ``loss`` learns in; ``options`` are those of ``NFVdeepEnv``."""
+        """The environment that ``loss`` learns in; ``options`` are those of ``NFVdeepEnv``.
+
+        Raises:
+            ScenarioError: the network needs more than the flat observation.
+        """
+        if q_network(loss).observations():
+            kind = type(q_network(loss)).__name__
+            raise ScenarioError(f"network: {kind} needs more than the observation of env=nfvdeep; use network=mlp")
         return NFVdeepEnv(scenarios, batch_size, planner=self.planner, reward=reward, **options)
 
     def method(self, loss: Any, *, one_hot: bool = False) -> Method:

@@ -81,6 +81,12 @@ def test_a_file_of_nfvdeep_is_refused_on_another_network(tmp_path):
         load_policy(folder / "best.pt", Scenario.from_config(config))
 
 
+def test_nfvdeep_shows_its_own_observation_alone(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        call("policy_gradient", "env=nfvdeep", "network=candidate", f"run_dir={tmp_path / 'run'}", *TINY)
+    assert "use network=mlp" in capsys.readouterr().err
+
+
 def assert_same(a, b):
     """Nested states are equal to the bit."""
     if isinstance(a, torch.Tensor):
