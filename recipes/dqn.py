@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.losses import has_target, q_network
+from nfv_torchrl.losses import q_network
 from nfv_torchrl.methods import load_weights
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
@@ -35,14 +35,14 @@ from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.env_state import EnvState
 from nfv_torchrl.training.finite import check_learning
-from nfv_torchrl.training.learner import gradient_step
+from nfv_torchrl.training.learner import gradient_step, target_updater
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
 from nfv_torchrl.training.room import check_compiler, check_environments
 from nfv_torchrl.training.run import RunFolder, evaluate_policy
-from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, choose_device, make_loss, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 
@@ -64,7 +64,7 @@ def main(cfg: DictConfig) -> None:
 
     # Loss first: it makes the network, whose observations the environment has to emit.
     sizes = Sizes.of(Simulator(worlds, len(worlds), one_hot=cfg.one_hot))
-    loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+    loss = make_loss(cfg.loss, instantiate(cfg.network), sizes).to(device)
     if cfg.networks is not None and not q_network(loss).any_size:
         raise ScenarioError("networks: substrates of several sizes need a network that fits any; set network=candidate")
     if cfg.init_from and not cfg.resume:
@@ -92,14 +92,13 @@ def main(cfg: DictConfig) -> None:
 
     frames_per_batch = cfg.collector.num_envs * cfg.collector.steps
     buffer = make_buffer(config["buffer"], size=cfg.buffer.size, batch_size=cfg.buffer.batch_size, device=device)
-    updater = instantiate(cfg.target)(loss) if has_target(loss) else None
+    updater = target_updater(cfg.target, loss)
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
 
     def update(batch: TensorDictBase) -> TensorDictBase:
         """One gradient step and one of the target network; what ``torch.compile`` gets."""
         learned = gradient_step(loss, optimizer, batch, cfg.learner.max_grad_norm)
-        if updater is not None:
-            updater.step()
+        updater.step()
         return learned
 
     if cfg.learner.compile:
@@ -110,14 +109,13 @@ def main(cfg: DictConfig) -> None:
     state = {
         "loss": loss,
         "optimizer": optimizer,
+        "updater": updater,
         "buffer": MemoryState(buffer),
         "env": EnvState(env),
         "window": window,
         "progress": progress,
         "rng": GlobalRNGState(),
     }
-    if updater is not None:
-        state["updater"] = updater
     # Before the collector, whose first reset starts the horizons of a new environment and goes on in a loaded one.
     folder.load(state)
     collector = Collector(

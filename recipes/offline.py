@@ -41,7 +41,7 @@ from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
 from nfv_torchrl.training.room import check_compiler, check_environments
 from nfv_torchrl.training.run import RunFolder, evaluate_policy
 from nfv_torchrl.training.sampler_state import SamplerState
-from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, choose_device, make_loss, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 ORIGIN = ("scenario", "method", "checkpoint", "reward", "one_hot", "stagger", "record")
@@ -67,7 +67,7 @@ def main(cfg: DictConfig) -> None:
 
     # Loss first: it makes the network, whose observations are to be recorded.
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
-    loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+    loss = make_loss(cfg.loss, instantiate(cfg.network), sizes).to(device)
 
     rows = some_rows(loss, scenario, one_hot=cfg.one_hot, steps=cfg.record.steps)
     size = -(-cfg.record.frames // (cfg.record.num_envs * cfg.record.steps)) * cfg.record.num_envs * len(rows)

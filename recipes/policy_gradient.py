@@ -32,7 +32,7 @@ from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.room import check_environments
 from nfv_torchrl.training.run import RunFolder, evaluate_policy
-from nfv_torchrl.training.setup import StopRequest, choose_device, seed_everything, set_threads
+from nfv_torchrl.training.setup import StopRequest, choose_device, make_loss, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
 
@@ -50,7 +50,7 @@ def main(cfg: DictConfig) -> None:
     # What one decision is; the loss then makes the networks, whose observations the environment has to emit.
     decisions = instantiate(cfg.env)
     sizes = decisions.sizes(scenario, one_hot=cfg.one_hot)
-    loss = instantiate(cfg.loss, network=instantiate(cfg.network), sizes=sizes).to(device)
+    loss = make_loss(cfg.loss, instantiate(cfg.network), sizes).to(device)
     env = decisions.environment(
         scenario,
         cfg.collector.num_envs,

@@ -9,6 +9,8 @@ from types import ModuleType
 from hydra import compose, initialize_config_dir
 from tiny import ROOT
 
+from nfv_torchrl.settings.torchrl_losses import forget_other_loss
+
 
 @functools.cache
 def recipe(name: str) -> ModuleType:
@@ -28,4 +30,5 @@ def call(name: str, *overrides: str) -> None:
     """
     with initialize_config_dir(str(ROOT / "recipes" / "config"), version_base=None):
         config = compose(name, overrides=list(overrides))
+    forget_other_loss(config, overrides)
     recipe(name).main(config)

@@ -23,6 +23,7 @@ from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
 from nfv_torchrl.losses.recurrent_ppo import RecurrentPPO
 from nfv_torchrl.losses.reinforce import Reinforce
 from nfv_torchrl.losses.slot_discount import SlotDiscountDQN
+from nfv_torchrl.losses.torchrl_losses import request_loss
 
 __all__ = [
     "A2C",
@@ -51,5 +52,6 @@ __all__ = [
     "greedy_actor",
     "has_target",
     "q_network",
+    "request_loss",
     "scorer",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -49,6 +50,16 @@ class Acting:
     def act_by(self, actor: TensorDictModule) -> None:
         """Make ``actor`` the policy. In a tuple, which PyTorch does not look into, it is not registered."""
         self._actor = (actor,)
+
+    def prepare(self, data: TensorDictBase) -> TensorDictBase:
+        """Single transitions: only the keys that the loss reads, [B, T] flattened."""
+        return data.select(*self.in_keys).reshape(-1)  # type: ignore[attr-defined]
+
+
+def transition_keys(seen: Iterable[NestedKey], action: NestedKey, *after: NestedKey) -> list[NestedKey]:
+    """The keys of a transition: what is ``seen`` now and under ``next``, the action, and what else is ``after`` it."""
+    once = list(dict.fromkeys(seen))
+    return [*once, action, *(("next", *(key if isinstance(key, tuple) else (key,))) for key in (*once, *after))]
 
 
 class MaskedLoss(Acting, LossModule):
@@ -117,13 +128,7 @@ class MaskedLoss(Acting, LossModule):
     def in_keys(self) -> list[NestedKey]:
         """What ``forward`` reads."""
         keys = self.tensor_keys
-        seen = dict.fromkeys((*self.network_keys, keys.action_mask))
-        after = [("next", *(key if isinstance(key, tuple) else (key,))) for key in (*seen, keys.reward, keys.done)]
-        return [*seen, keys.action, *after]
-
-    def prepare(self, data: TensorDictBase) -> TensorDictBase:
-        """Single transitions: only the keys that the loss reads, [B, T] flattened."""
-        return data.select(*self.in_keys).reshape(-1)
+        return transition_keys((*self.network_keys, keys.action_mask), keys.action, keys.reward, keys.done)
 
     def outputs(self, name: str, tensordict: TensorDictBase, *more: Tensor, target: bool = False) -> Tensor:
         """What network ``name`` returns for the state in ``tensordict``, [batch, A] or [batch, A, outputs].

@@ -53,10 +53,6 @@ class DQN(Acting, DQNLoss):
         self.make_value_estimator(gamma=gamma)
         self.act_by(actor)
 
-    def prepare(self, data: TensorDictBase) -> TensorDictBase:
-        """Single transitions: only the keys that the loss reads, [B, T] flattened."""
-        return data.select(*self.in_keys).reshape(-1)
-
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The loss of a batch of transitions; see ``MaskedLoss`` for the keys of a prioritised memory."""
         values = super().forward(tensordict)

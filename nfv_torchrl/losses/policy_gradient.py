@@ -19,12 +19,12 @@ LOWEST = torch.finfo(torch.float32).min
 """Log-odds of an invalid action. With minus infinity its 0 * log 0 would be NaN in the entropy's gradient."""
 
 
-def masked_actor(network: QNetwork, actions: int) -> ProbabilisticActor:
+def masked_actor(network: QNetwork, actions: int, lowest: float = LOWEST) -> ProbabilisticActor:
     """The policy pi(a | s), proportional to exp(logits) over the valid actions, ``actions`` with reject.
 
     It samples while it explores (``ExplorationType.RANDOM``) and takes the most probable valid action otherwise.
     Reads the network's ``in_keys`` and ``action_mask``; writes ``logits`` float32 [..., A], ``action`` int64 [...] and
-    ``action_log_prob`` float32 [...].
+    ``action_log_prob`` float32 [...]. ``lowest``: the log-odds of invalid actions.
     """
     if hasattr(network, "unroll"):
         raise ScenarioError("network: one with memory learns from sequences: use pg_loss=recurrent_ppo")
@@ -38,7 +38,7 @@ def masked_policy(module: TensorDictModule, actions: int) -> ProbabilisticActor:
         in_keys={"logits": "logits", "mask": "action_mask"},
         out_keys=["action"],
         distribution_class=MaskedCategorical,
-        distribution_kwargs={"neg_inf": LOWEST},
+        distribution_kwargs={"neg_inf": lowest},
         return_log_prob=True,
         log_prob_key="action_log_prob",
         spec=Categorical(actions),
@@ -61,6 +61,12 @@ class StateValue(nn.Module):
         *seen, mask = inputs
         values = self.network(*seen).masked_fill(~mask, 0.0)
         return values.sum(-1, keepdim=True) / mask.sum(-1, keepdim=True)
+
+
+def state_values(network: QNetwork) -> TensorDictModule:
+    """A critic that writes ``state_value`` float32 [..., 1], see ``StateValue``."""
+    keys = [*network.in_keys, "action_mask"]
+    return TensorDictModule(StateValue(network), in_keys=keys, out_keys=["state_value"])
 
 
 Objective = Callable[[ProbabilisticActor, TensorDictModule], LossModule]
@@ -106,9 +112,8 @@ class PolicyGradient(nn.Module):
     ) -> None:
         super().__init__()
         actor = masked_actor(network(sizes), sizes.actions)
-        value = StateValue(network(sizes))
-        self._observed = list(dict.fromkeys([*value.network.in_keys, "action_mask"]))
-        critic = TensorDictModule(value, in_keys=[*value.network.in_keys, "action_mask"], out_keys=["state_value"])
+        critic = state_values(network(sizes))
+        self._observed = list(dict.fromkeys(critic.in_keys))
         self.objective = objective(actor, critic)
         self.objective.set_keys(done="stop", terminated="stop")
         self.objective.make_value_estimator(ValueEstimators.GAE, gamma=gamma, lmbda=lmbda)

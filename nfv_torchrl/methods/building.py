@@ -20,6 +20,8 @@ from torch.overrides import TorchFunctionMode
 
 from nfv_torchrl import losses, networks
 from nfv_torchrl.errors import CheckpointError, one_line
+from nfv_torchrl.losses import request_loss
+from nfv_torchrl.losses.torchrl_losses import FITS
 from nfv_torchrl.methods.evolved import CandidatePolicy, Evolvable, PricePolicy
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
@@ -54,7 +56,7 @@ CLASSES: Mapping[str, Mapping[str, type]] = {
         networks.MLPNetwork,
         PriceNetwork,
     ),
-    "loss": _by_name(*_losses()),
+    "loss": _by_name(*_losses(), *FITS),
     "planner": _by_name(NFVdeepPlanner),
     "policy": {
         **_by_name(CandidatePolicy, PricePolicy),
@@ -94,7 +96,8 @@ def factory(path: Place, part: str, config: Mapping[str, Any], trusted_packages:
         raise CheckpointError(f"{path}: {part}._partial_ may only be true, and only of a network")
     arguments = {key: value for key, value in config.items() if key not in ("_target_", "_partial_")}
     _check_plain(path, part, arguments)
-    return partial(_look_up(path, part, target, trusted_packages), **arguments)
+    found = _look_up(path, part, target, trusted_packages)
+    return partial(request_loss(found) if part == "loss" else found, **arguments)
 
 
 @contextlib.contextmanager

@@ -18,6 +18,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.config import parse_config
 from nfv_torchrl.settings.targets import Target
+from nfv_torchrl.settings.torchrl_losses import LossTarget, forget_other_loss
 from nfv_torchrl.settings.values import (
     Bounds,
     Count,
@@ -51,7 +52,8 @@ Mapped = dict[str, Any]
 ScenarioKeys = Annotated[Mapped, ScenarioRule()]
 Network = Annotated[Mapped, Target("sizes", "outputs", partial=True)]
 PlainNetwork = Annotated[Mapped, Target("sizes", "outputs", partial=None)]
-Loss = Annotated[Mapped, Target("network", "sizes", has=("prepare", "forward"))]
+ReplayLoss = Annotated[Mapped, LossTarget("memory")]
+OnPolicyLoss = Annotated[Mapped, LossTarget("present")]
 Evolved = Annotated[Mapped, Target("network", "sizes")]
 Reward = Annotated[Mapped, Target("outcome", "scale", partial="functions")]
 Decisions = Annotated[Mapped, Target()]
@@ -146,7 +148,7 @@ class DqnSettings(Run):
     """See ``config/dqn.yaml``."""
 
     network: Network
-    loss: Loss
+    loss: ReplayLoss
     reward: Reward
     exploration: Exploration
     networks: Networks | None
@@ -201,7 +203,7 @@ class PolicyGradientSettings(Run):
 
     env: Decisions
     network: Network
-    loss: Loss
+    loss: OnPolicyLoss
     reward: Reward
     device: str
     threads: Threads
@@ -246,7 +248,7 @@ class OfflineSettings(Run):
 
     method: Methods
     network: Network
-    loss: Loss
+    loss: ReplayLoss
     reward: Reward
     target: Updater
     device: str
@@ -584,7 +586,9 @@ def check_recipe(name: str, overrides: Sequence[str], recipes: Path) -> None:
         read_settings({"seeds": 10, "requests": 30, **{key: int(text) for key, text in options.items()}}, RECIPES[name])
         return
     with initialize_config_dir(str(recipes.resolve() / "config"), version_base=None):
-        read_settings(compose(name, list(overrides)), RECIPES[name])
+        config = compose(name, list(overrides))
+        forget_other_loss(config, overrides)
+        read_settings(config, RECIPES[name])
 
 
 def check_checkpoint(checkpoint: str | None, method: Mapping[str, Any]) -> None:

@@ -67,11 +67,11 @@ class Target(Rule):
         """See ``Rule``."""
         wanted = self.partial
         if wanted == "functions":
-            wanted = not inspect.isclass(_locate(value.get("_target_"), where))
+            wanted = not inspect.isclass(locate(value.get("_target_"), where))
         if wanted is not None and value.get("_partial_", False) is not wanted:
             refuse(f"{where}._partial_", value.get("_partial_", False), str(wanted).lower())
         check_target(value, where, self.given)
-        target = _locate(value.get("_target_"), where)
+        target = locate(value.get("_target_"), where)
         for method in self.has if inspect.isclass(target) else ():
             if not hasattr(target, method):
                 name = shown(value["_target_"])
@@ -85,7 +85,7 @@ def check_target(spec: Mapping[str, Any], where: str, given: tuple[str, ...] = (
         ScenarioError: the target cannot be imported or called, or an argument is unknown, missing or of the wrong kind.
     """
     parse(spec.get("_partial_", False), bool, f"{where}._partial_")
-    target = _locate(spec.get("_target_"), where)
+    target = locate(spec.get("_target_"), where)
     arguments = {key: value for key, value in spec.items() if key not in OF_HYDRA}
     called = target.__init__ if inspect.isclass(target) else target
     try:
@@ -110,7 +110,12 @@ def check_target(spec: Mapping[str, Any], where: str, given: tuple[str, ...] = (
     _check_kinds(target, called, arguments, where)
 
 
-def _locate(path: Any, where: str) -> Any:
+def locate(path: Any, where: str) -> Any:
+    """What the ``_target_`` of the setting ``where`` names.
+
+    Raises:
+        ScenarioError: nothing that can be imported and called.
+    """
     if not isinstance(path, str):
         raise ScenarioError(f"{where}._target_: {shown(path)}; give a class or function with its package")
     try:
@@ -125,10 +130,7 @@ def _locate(path: Any, where: str) -> Any:
 
 def _check_kinds(target: Any, called: Any, arguments: Mapping[str, Any], where: str) -> None:
     """The values of the arguments whose annotations can be judged."""
-    try:
-        hints = typing.get_type_hints(called, include_extras=True)
-    except Exception:  # annotations that cannot be evaluated, such as names imported for type checking only
-        hints = {}
+    hints = _hints(called)
     hints |= SPECIAL.get(f"{target.__module__}.{getattr(target, '__qualname__', '')}", {})
     for key, value in arguments.items():
         if isinstance(value, Mapping) and "_target_" in value:
@@ -137,6 +139,18 @@ def _check_kinds(target: Any, called: Any, arguments: Mapping[str, Any], where: 
             parse(value, hints[key], join(where, key))
         elif inspect.isclass(hints.get(key)):
             refuse(join(where, key), value, f"a mapping with the _target_ of a {hints[key].__name__}")
+
+
+def _hints(called: Any) -> dict[str, Any]:
+    try:
+        return typing.get_type_hints(called, include_extras=True)
+    except Exception:  # annotations that cannot be evaluated, such as names imported for type checking only
+        return {}
+
+
+def written_hints(called: Any) -> dict[str, Any]:
+    """The annotations of a function's arguments that a yaml file can have all values of."""
+    return {name: hint for name, hint in _hints(called).items() if _can_be_written(hint)}
 
 
 def _can_be_written(hint: Any) -> bool:

@@ -15,7 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
 from nfv_torchrl.env import NFVEnv
-from nfv_torchrl.losses import RequestLoss, has_target
+from nfv_torchrl.losses import RequestLoss, has_target, request_loss
 from nfv_torchrl.networks import MLPNetwork, NetworkFactory, QNetwork, Sizes
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.testing.worlds import small_scenario
@@ -71,7 +71,8 @@ def check_loss(make: LossFactory, *, network: NetworkFactory | None = None, seed
     - A loss of the same class goes on from ``state_dict`` with the same numbers.
 
     Args:
-        make: the class, or a ``partial`` of it; called as ``make(network, sizes)``.
+        make: the class, or a ``partial`` of it; called as ``make(network, sizes)``. Recipes and this check know what to
+            do with a loss class of TorchRL's.
         network: the network that it gets; default a small ``MLPNetwork``.
         seed: of weights, requests and actions.
 
@@ -104,7 +105,7 @@ class _Trial:
 
     def __init__(self, make: LossFactory, network: NetworkFactory, seed: int) -> None:
         scenario = small_scenario(horizon=4, arrival_rate=2.0)
-        self._make, self._network, self._seed = make, network, seed
+        self._make, self._network, self._seed = request_loss(make), network, seed
         self._sizes = Sizes.of(Simulator(scenario, 1, one_hot=True))
         self._env = NFVEnv(scenario, ENVS, observations=network(self._sizes).observations(), seed=seed)
         # Never valid in the data; the last action, `reject`, always is.

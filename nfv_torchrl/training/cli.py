@@ -21,6 +21,7 @@ from typing import Any, NoReturn, ParamSpec, TypeVar
 import hydra
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -28,6 +29,7 @@ from omegaconf.errors import OmegaConfBaseException
 from nfv_torchrl.cli import recipes_folder
 from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError, TrainingError, cut_words
 from nfv_torchrl.locks import locks_of_command
+from nfv_torchrl.settings.torchrl_losses import forget_other_loss
 from nfv_torchrl.training.overrides import explain
 
 P = ParamSpec("P")
@@ -71,7 +73,12 @@ def recipe(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., 
             entered = True
             clear_errors(main)(cfg)
 
-        app = hydra.main(config_path=str(recipes / "config"), config_name=name, version_base=None)(entering)
+        @functools.wraps(main)
+        def from_command_line(cfg: DictConfig) -> None:
+            forget_other_loss(cfg, HydraConfig.get().overrides.task)
+            entering(cfg)
+
+        app = hydra.main(config_path=str(recipes / "config"), config_name=name, version_base=None)(from_command_line)
 
         @functools.wraps(main)
         def run(cfg: DictConfig | None = None) -> None:

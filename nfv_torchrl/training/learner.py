@@ -2,11 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import nn
+from torchrl.objectives import LossModule
+from torchrl.objectives.utils import TargetNetUpdater
+
+from nfv_torchrl.losses import has_target
+
+
+class NoUpdater:
+    """In place of a target updater, for a loss without target networks."""
+
+    def step(self) -> None:
+        """Nothing to move."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing to save."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Nothing to load."""
+
+
+def target_updater(config: DictConfig, loss: LossModule) -> TargetNetUpdater | NoUpdater:
+    """What ``config`` makes for ``loss``, if it has a target network."""
+    return instantiate(config)(loss) if has_target(loss) else NoUpdater()
 
 
 def gradient_step(

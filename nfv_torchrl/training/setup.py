@@ -14,9 +14,15 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
+from hydra.utils import get_object, instantiate
+from omegaconf import DictConfig
 
 from nfv_torchrl.errors import ScenarioError, one_line
 from nfv_torchrl.folders import check_place, refuse_files
+from nfv_torchrl.losses.torchrl_losses import torchrl_loss
+from nfv_torchrl.networks import NetworkFactory, Sizes
+from nfv_torchrl.settings.targets import OF_HYDRA
+from nfv_torchrl.settings.torchrl_losses import served
 from nfv_torchrl.training.cli import STOPS
 
 
@@ -48,6 +54,19 @@ def set_threads(threads: int) -> None:
     if threads < 1:
         raise ScenarioError(f"threads is {threads}; at least one is needed")
     torch.set_num_threads(threads)
+
+
+def make_loss(config: DictConfig, network: NetworkFactory, sizes: Sizes) -> Any:
+    """The loss that a recipe's ``loss`` names: a ``RequestLoss``, or a class of TorchRL's with what it needs.
+
+    Raises:
+        ScenarioError: a class of TorchRL's that does not serve here, or settings that it does not take.
+    """
+    kind = get_object(config["_target_"])
+    if served(kind) is None:
+        return instantiate(config, network=network, sizes=sizes)
+    settings = instantiate({key: value for key, value in config.items() if key not in OF_HYDRA})
+    return torchrl_loss(kind, network, sizes, **settings)
 
 
 LONGEST_NAME = 120

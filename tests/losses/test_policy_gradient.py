@@ -1,4 +1,4 @@
-"""REINFORCE, A2C and PPO with two of four actions valid, worked out by hand."""
+"""REINFORCE, A2C and PPO, ours and TorchRL's by itself, with two of four actions valid, worked out by hand."""
 
 import math
 
@@ -6,8 +6,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.objectives import A2CLoss, ClipPPOLoss, ReinforceLoss
 from two_states import SIZES, table_network
 
+from nfv_torchrl.losses import request_loss
 from nfv_torchrl.losses.a2c import A2C
 from nfv_torchrl.losses.policy_gradient import masked_actor
 from nfv_torchrl.losses.ppo import PPO
@@ -50,7 +52,10 @@ def batch(states, actions, rewards, request_done, done=None) -> TensorDict:
 
 
 def make(kind, **settings):
-    return kind(table_network(LOGITS, CRITIC), SIZES, **settings)
+    """``kind`` without a discount where none is given, and with squared errors, as ours have it."""
+    if kind.__module__.startswith("torchrl."):
+        settings = {"gamma": 1.0, "lmbda": 1.0, "loss_critic_type": "l2", **settings}
+    return request_loss(kind)(table_network(LOGITS, CRITIC), SIZES, **settings)
 
 
 def test_sampling_and_choosing_keep_to_the_mask():
@@ -66,8 +71,9 @@ def test_sampling_and_choosing_keep_to_the_mask():
         assert (actor(seen.clone())["action"] == 1).all()
 
 
-def test_advantages_end_with_the_request():
-    loss = make(A2C, gamma=GAMMA, lmbda=LMBDA)
+@pytest.mark.parametrize("kind", [A2C, ClipPPOLoss])
+def test_advantages_end_with_the_request(kind):
+    loss = make(kind, gamma=GAMMA, lmbda=LMBDA)
     data = batch([0, 0, 1, 0], [0, 1, 2], [0.5, 1.0, -1.0], [False, True, False])
     rows = loss.prepare(data)
     # delta: 0.5 + 0.9 * 2 - 2, then 1 - 2 at the request's end, then -1 + 0.9 * 2 - 5
@@ -80,8 +86,9 @@ def test_advantages_end_with_the_request():
     )
 
 
-def test_looking_across_requests_ends_with_the_horizon():
-    loss = make(A2C, gamma=GAMMA, lmbda=1.0, stop_at="done")
+@pytest.mark.parametrize("kind", [A2C, ReinforceLoss])
+def test_looking_across_requests_ends_with_the_horizon(kind):
+    loss = make(kind, gamma=GAMMA, lmbda=1.0, stop_at="done")
     data = batch([0, 0, 0], [0, 1], [0.0, 1.0], [True, True], done=[False, True])
     deltas = [0.9 * 2 - 2, 1 - 2]
     assert loss.prepare(data)["advantage"].flatten().tolist() == pytest.approx([deltas[0] + GAMMA * deltas[1], -1.0])
@@ -93,15 +100,17 @@ def test_an_horizon_without_requests_ends_looking_ahead():
     assert loss.prepare(data)["advantage"].item() == pytest.approx(-5.0)
 
 
-def test_reinforce():
-    loss = make(Reinforce)
+@pytest.mark.parametrize("kind", [Reinforce, ReinforceLoss])
+def test_reinforce(kind):
+    loss = make(kind)
     values = loss(loss.prepare(batch([0, 1], [1], [1.0], [True])))
     assert values["loss_actor"].item() == pytest.approx(-math.log(0.75) * (1 - 2))
     assert values["loss_value"].item() == pytest.approx((2 - 1) ** 2)
 
 
-def test_a2c():
-    loss = make(A2C, entropy_coeff=0.1, critic_coeff=0.5)
+@pytest.mark.parametrize("kind", [A2C, A2CLoss])
+def test_a2c(kind):
+    loss = make(kind, entropy_coeff=0.1, critic_coeff=0.5)
     values = loss(loss.prepare(batch([0, 1], [1], [1.0], [True])))
     assert values["loss_objective"].item() == pytest.approx(-math.log(0.75) * (1 - 2))
     assert values["loss_critic"].item() == pytest.approx(0.5 * (2 - 1) ** 2)
@@ -109,9 +118,10 @@ def test_a2c():
     assert values["loss_entropy"].item() == pytest.approx(-0.1 * ENTROPY)
 
 
+@pytest.mark.parametrize("kind", [PPO, ClipPPOLoss])
 @pytest.mark.parametrize(("before", "clipped"), [(0.7, False), (0.5, True)])
-def test_ppo_clips(before, clipped):
-    loss = make(PPO, clip_epsilon=0.2, entropy_coeff=0.1, critic_coeff=0.5, normalize_advantage=False)
+def test_ppo_clips(before, clipped, kind):
+    loss = make(kind, clip_epsilon=0.2, entropy_coeff=0.1, critic_coeff=0.5, normalize_advantage=False)
     data = batch([0, 1], [1], [5.0], [True])
     data["action_log_prob"] = torch.full((1, 1), math.log(before))
     values = loss(loss.prepare(data))
@@ -121,7 +131,7 @@ def test_ppo_clips(before, clipped):
     assert values["loss_entropy"].item() == pytest.approx(-0.1 * ENTROPY)
 
 
-@pytest.mark.parametrize("kind", [Reinforce, A2C, PPO])
+@pytest.mark.parametrize("kind", [Reinforce, A2C, PPO, ReinforceLoss, A2CLoss, ClipPPOLoss])
 def test_gradients_are_finite_and_move_valid_actions_only(kind):
     loss = make(kind)
     rows = loss.prepare(batch([0, 1, 0], [1, 2], [1.0, 0.5], [False, True]))

@@ -426,4 +426,4 @@ def test_every_class_of_the_configs_is_in_the_list():
 def test_every_loss_of_the_package_may_be_built_and_nothing_else_of_its_modules():
     known = {each.__name__ for each in CLASSES["loss"].values()}
     assert {"DQN", "PPO", "RecurrentDQN", "SlotDiscountDQN"} <= known
-    assert not known & {"MeanValue", "TwoNetworks", "StateValue", "Acting", "DQNLoss", "LossModule", "Categorical"}
+    assert not known & {"MeanValue", "TwoNetworks", "StateValue", "Acting", "AtomsModule", "LossModule", "SACLoss"}

@@ -24,6 +24,7 @@ TINY = [
     "eval.seeds=[1000]",
     "saving.interval=20",
 ]
+OF_TORCHRL = "loss._target_=torchrl.objectives.{}"
 
 
 def offline(folder, *overrides):
@@ -63,9 +64,10 @@ def test_recording_training_resuming_and_reuse(tmp_path, capsys):
     assert all(torch.equal(a["loss"][key], b["loss"][key]) for key in a["loss"])
     assert torch.equal(a["sampler"]["priorities"]["raw"], b["sampler"]["priorities"]["raw"])
 
-    # Imitation learns from the same files and reads no reward.
-    offline(tmp_path / "clone", shared, "loss=imitation")
-    assert (tmp_path / "clone" / "best.pt").exists()
+    # Imitation learns from the same files and reads no reward, and so do classes of TorchRL's.
+    for name, loss in (("clone", "loss=imitation"), ("DiscreteCQLLoss", OF_TORCHRL), ("DiscreteIQLLoss", OF_TORCHRL)):
+        offline(tmp_path / name, shared, loss.format(name))
+        assert (tmp_path / name / "best.pt").exists()
 
     # What does not fit is refused before anything is written.
     for override, name in (("network=candidate", "candidates"), ("method=[random_feasible]", "method")):
