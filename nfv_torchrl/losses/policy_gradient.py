@@ -28,10 +28,10 @@ def masked_actor(network: QNetwork, actions: int, lowest: float = LOWEST) -> Pro
     """
     if hasattr(network, "unroll"):
         raise ScenarioError("network: one with memory learns from sequences: use pg_loss=recurrent_ppo")
-    return masked_policy(TensorDictModule(network, in_keys=list(network.in_keys), out_keys=["logits"]), actions)
+    return masked_policy(TensorDictModule(network, in_keys=list(network.in_keys), out_keys=["logits"]), actions, lowest)
 
 
-def masked_policy(module: TensorDictModule, actions: int) -> ProbabilisticActor:
+def masked_policy(module: TensorDictModule, actions: int, lowest: float = LOWEST) -> ProbabilisticActor:
     """The same policy, of a ``module`` that writes ``logits``."""
     return ProbabilisticActor(
         module,
