@@ -110,7 +110,7 @@ def main(cfg: DictConfig) -> None:
         "loss": loss,
         "optimizer": optimizer,
         "updater": updater,
-        "buffer": MemoryState(buffer),
+        "buffer": MemoryState(buffer, rows),
         "env": EnvState(env),
         "window": window,
         "progress": progress,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torchrl.data import RoundRobinWriter, TensorDictReplayBuffer
 
 from nfv_torchrl.state_checks import ARRAY_DTYPES, check_keys, check_list, check_whole, refuse
@@ -27,10 +27,14 @@ class MemoryState:
 
     The buffer's own ``state_dict`` holds its whole storage, uninitialised memory included. Here items are packed (see
     ``compact``), and what is seen after a step is left out where the next row says the same.
+
+    Args:
+        buffer: the memory.
+        rows: some of what the loss keeps, [R]; items that are loaded have to be of that kind. None: of any.
     """
 
-    def __init__(self, buffer: TensorDictReplayBuffer) -> None:
-        self.buffer = buffer
+    def __init__(self, buffer: TensorDictReplayBuffer, rows: TensorDictBase | None = None) -> None:
+        self.buffer, self._rows = buffer, rows
         self._sampler = SamplerState(buffer)
 
     def state_dict(self) -> dict[str, Any]:
@@ -59,6 +63,7 @@ class MemoryState:
         if not isinstance(state["items"], dict) or not all(isinstance(key, str) for key in state["items"]):
             refuse("buffer.items", "is no mapping by key")
         if size:
+            self._check_kind(state["items"])
             self._fill(state["items"], size)
         load_plain("buffer.writer", self.buffer.writer, state["writer"])
         self._sampler.load_state_dict(state["sampler"])
@@ -73,6 +78,23 @@ class MemoryState:
         check_whole("buffer.writer._write_count", state["_write_count"], size, 2**63 - 1)
         if size < room and cursor != size:
             refuse("buffer.writer._cursor", f"is {cursor}, but the {size} rows there end at {size}")
+
+    def _check_kind(self, packed: dict[str, Any]) -> None:
+        """The items are such as the loss keeps: same keys, dtypes and shapes."""
+        if self._rows is None:
+            return
+        rows = self._rows.flatten_keys(".")
+        kept = {key: [str(value.dtype), list(value.shape[1:])] for key, value in rows.items()}
+        found = {
+            key: [content.get("dtype"), content.get("shape")] if isinstance(content, dict) else None
+            for key, content in packed.items()
+        }
+        differ = sorted(key for key in {*kept, *found} if kept.get(key) != found.get(key))
+        if differ:
+            refuse(
+                "buffer.items",
+                f"are not what the loss keeps: {', '.join(differ)} differ. The loss or its network has changed since",
+            )
 
     def _fill(self, packed: dict[str, Any], size: int) -> None:
         arrays: dict[str, np.ndarray] = {}

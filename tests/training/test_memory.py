@@ -143,6 +143,16 @@ def test_sizes_are_checked(filled, change, named):
         MemoryState(buffer_of(3000)).load_state_dict(state)
 
 
+def test_items_are_such_as_the_loss_keeps(filled):
+    state = MemoryState(filled).state_dict()
+    rows = filled[:2].exclude("index")
+    MemoryState(buffer_of(3000), rows).load_state_dict(state)
+    changed = rows.clone().rename_key_("action", "choice")
+    changed["next", "reward"] = changed["next", "reward"].double()
+    with pytest.raises(CheckpointError, match=r"keeps: action, choice, next\.reward differ\. The loss"):
+        MemoryState(buffer_of(3000), changed).load_state_dict(state)
+
+
 def test_rows_that_are_left_out_must_be_elsewhere(filled):
     state = MemoryState(filled).state_dict()
     del state["items"]["observation"]
