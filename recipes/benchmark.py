@@ -1,6 +1,7 @@
 """How fast everything is on this machine: kernels, environment, collector, training, decisions, memory.
 
     python recipes/benchmark.py
+    python recipes/benchmark.py parts=[gym] nodes=[10] batch_sizes=[64]    # needs the extra sb3
     python recipes/benchmark.py parts=[kernel,methods] nodes=[10,100] batch_sizes=[64] output=runs/benchmark.json
 
 Rates are per second of processor time on one core, so that other work on the machine hardly counts; those per second
@@ -32,6 +33,7 @@ from tqdm import tqdm
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.tables import Table
+from nfv_torchrl.experiments.gym_speed import run_gym
 from nfv_torchrl.experiments.loaded import make_scenario
 from nfv_torchrl.experiments.speed import COLLECTED, Row, run_collector, run_env, run_kernel, run_memory, run_methods
 from nfv_torchrl.files import read_json, write_atomically
@@ -123,6 +125,7 @@ PARTS: dict[str, tuple[str, Callable[[dict[str, Any]], Iterator[Row]]]] = {
     "kernel": ("Kernel: random valid actions, mask and flat observation updated, one core", run_kernel),
     "env": ("NFVEnv: rollouts with a random masked policy", run_env),
     "collector": (f"Collector: random masked policy, {COLLECTED} steps a batch", run_collector),
+    "gym": ("Gymnasium: MaskablePPO of sb3-contrib, rollouts alone and learning", run_gym),
     "training": ("Training: recipes/dqn.py with its defaults", run_training),
     "methods": ("Methods: decisions on loaded networks, simulation not counted", run_methods),
     "memory": ("Memory: arrays of a batch at the end of its horizon", run_memory),

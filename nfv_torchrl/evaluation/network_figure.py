@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import networkx as nx
 import numpy as np
 from matplotlib import colormaps, patheffects
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -44,34 +48,61 @@ def mean_use(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
     return node_use / substrate.vm_capacity.sum(axis=1), link_use / substrate.link_capacity
 
 
+class Drawing(NamedTuple):
+    """A network that has been drawn. ``set_array`` of ``nodes`` and ``links`` gives them other used shares."""
+
+    figure: Figure
+    axes: Axes
+    nodes: PathCollection
+    links: LineCollection
+    place: dict[int, tuple[float, float]]
+
+
 def draw_utilisation(record: RunRecord) -> Figure:
     """Nodes sized by VM capacity and coloured by VM use, links coloured by link use."""
-    substrate = record.scenario.substrate
-    node_use, link_use = mean_use(record)
-    figure = Figure(figsize=(7, 5.5), layout="constrained")
+    drawing = draw_network(record.scenario.substrate, *mean_use(record), "mean used share")
+    drawing.axes.set_title(f"{record.method} on {record.scenario.name}, workload {record.workload_seed}", fontsize=12)
+    return drawing.figure
+
+
+def draw_network(substrate: Substrate, node_use: np.ndarray, link_use: np.ndarray, label: str) -> Drawing:
+    """Nodes sized by VM capacity and coloured by ``node_use`` [N], links coloured by ``link_use`` [L], both 0 to 1."""
+    figure = Figure(figsize=(5.4, 4.4))
+    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.07, top=0.93)  # a layout engine takes longer
     axes = figure.add_subplot()
-    graph, place = substrate.to_networkx(), _layout(substrate)
+    graph, place = substrate.to_networkx(), layout(substrate)
     capacity = substrate.vm_capacity.sum(axis=1)
     colours, scale = colormaps["viridis_r"], Normalize(0, 1)
-    nx.draw_networkx_edges(
+    small = substrate.num_nodes <= 30
+    links = nx.draw_networkx_edges(
         graph, place, ax=axes, edgelist=substrate.links.tolist(), edge_color=link_use, edge_cmap=colours,
-        edge_vmin=0, edge_vmax=1, width=2,
+        edge_vmin=0, edge_vmax=1, width=3.5 if small else 2,
     )  # fmt: skip
-    nx.draw_networkx_nodes(
+    nodes = nx.draw_networkx_nodes(
         graph, place, ax=axes, nodelist=range(substrate.num_nodes), node_color=node_use, cmap=colours, vmin=0, vmax=1,
-        node_size=100 + 500 * capacity / capacity.max(), edgecolors="black", linewidths=0.5,
+        node_size=(300 if small else 60) + (700 if small else 240) * capacity / capacity.max(), edgecolors="black",
+        linewidths=0.8,
     )  # fmt: skip
     if substrate.num_nodes <= 50:
-        outline = [patheffects.withStroke(linewidth=2, foreground="white")]
-        for label in nx.draw_networkx_labels(graph, place, ax=axes, font_size=8).values():
-            label.set_path_effects(outline)
-    figure.colorbar(ScalarMappable(scale, colours), ax=axes, label="mean used share (nodes: of their VMs' capacity)")
-    axes.set_title(f"{record.scenario.name}: {record.method}, workload seed {record.workload_seed}", fontsize=9)
-    axes.set_axis_off()
-    return figure
+        for text in nx.draw_networkx_labels(graph, place, ax=axes, font_size=12 if small else 8).values():
+            text.set_path_effects(outline())
+    bar = figure.colorbar(ScalarMappable(scale, colours), ax=axes, pad=0.02)
+    bar.set_label(label, fontsize=12)
+    bar.ax.tick_params(labelsize=11)
+    axes.set_xlabel("circles: nodes, sized by the capacity of their VMs; lines: links", fontsize=10)
+    axes.tick_params(bottom=False, left=False, labelbottom=False, labelleft=False)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    axes.margins(0.1)
+    return Drawing(figure, axes, nodes, links, place)
 
 
-def _layout(substrate: Substrate) -> dict[int, tuple[float, float]]:
+def outline() -> list[patheffects.AbstractPathEffect]:
+    """What makes text readable on any colour."""
+    return [patheffects.withStroke(linewidth=2.5, foreground="white")]
+
+
+def layout(substrate: Substrate) -> dict[int, tuple[float, float]]:
     """Where the nodes lie: by their coordinates if they have some, else spread out by links."""
     if substrate.coordinates is not None:
         return {node: (float(lon), float(lat)) for node, (lat, lon) in enumerate(substrate.coordinates)}

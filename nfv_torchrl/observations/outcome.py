@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
-from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
 from nfv_torchrl.simulator import REASON_NAMES, Simulator
@@ -43,7 +44,7 @@ def _split(outcome, flags, integers, numbers):
             numbers[k, b, 0] = np.float32(outcome[b, _NUMBERS[k]])
 
 
-def read_outcome(outcome: np.ndarray) -> dict[str, Tensor | dict[str, Tensor]]:
+def read_outcome(outcome: np.ndarray) -> dict[str, Any]:
     """The columns of ``World.outcome``, float64 [B, columns], as tensors [B, 1] that later steps do not write into.
 
     Returns:

@@ -509,7 +509,7 @@ class BenchmarkSettings:
 
     scenario: ScenarioKeys
     method: Methods
-    parts: tuple[Annotated[str, OneOf("kernel", "env", "collector", "training", "methods", "memory")], ...]
+    parts: tuple[Annotated[str, OneOf("kernel", "env", "collector", "gym", "training", "methods", "memory")], ...]
     nodes: Annotated[tuple[Nodes, ...], Some]
     batch_sizes: Annotated[tuple[Count, ...], Some]
     arrivals_per_node: Positive | None
