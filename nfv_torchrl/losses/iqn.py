@@ -60,7 +60,7 @@ class IQN(MaskedLoss):
         *,
         samples: Count = 8,
         target_samples: Count = 8,
-        quantiles: Quantiles = 32,
+        quantiles: Quantiles = 16,
         kappa: Positive = 1.0,
         gamma: Share = 1.0,
         double: bool = False,

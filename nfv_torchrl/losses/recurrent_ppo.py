@@ -14,6 +14,8 @@ from nfv_torchrl.losses.sequences import SequenceLoss, recurrent_policy
 from nfv_torchrl.networks import NetworkFactory, Sizes
 from nfv_torchrl.settings.values import NotNegative, Positive, Share, StopKey
 
+OF_STEPS = ("action_log_prob", "advantage", "value_target")
+
 
 class RecurrentPPO(SequenceLoss):
     r"""The clipped surrogate of ``PPO`` where policy and state value depend on all steps of the horizon so far.
@@ -82,6 +84,11 @@ class RecurrentPPO(SequenceLoss):
             functional=False,
         )
 
+    @property
+    def in_keys(self) -> list[str]:
+        """What ``forward`` reads."""
+        return [*super().in_keys, *OF_STEPS]
+
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Sequences with advantages along them, one for each environment of [B, T]."""
         rows = super().prepare(data)
@@ -99,8 +106,7 @@ class RecurrentPPO(SequenceLoss):
         """The objective on sequences of ``prepare``."""
         logits, values = (output[:, :-1] for output in self._policy_and_values(tensordict))
         steps = {"logits": logits, "state_value": values, "action_mask": tensordict.get("action_mask")[:, :-1]}
-        keys = ("action", "action_log_prob", "advantage", "value_target")
-        steps |= {key: tensordict.get(key) for key in keys}
+        steps |= {key: tensordict.get(key) for key in ("action", *OF_STEPS)}
         return self.objective(TensorDict(steps, batch_size=values.shape[:2]).reshape(-1))
 
     def _policy_and_values(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from nfv_torchrl.evaluation.runner import run_method
-from nfv_torchrl.losses import DQN, DiscreteSAC, QuantileDQN, q_network, scorer
+from nfv_torchrl.losses import DQN, IQN, DiscreteSAC, QuantileDQN, q_network, scorer
 from nfv_torchrl.losses.ppo import PPO
 from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
 from nfv_torchrl.methods import PolicyMethod
-from nfv_torchrl.networks import CandidateNetwork, DuelingNetwork, MLPNetwork, Sizes
+from nfv_torchrl.networks import CandidateNetwork, DuelingNetwork, ImplicitQuantileNetwork, MLPNetwork, Sizes
 from nfv_torchrl.networks.gru import GRUNetwork
 from nfv_torchrl.observations import read_observation
 from nfv_torchrl.scenario import paper_scenario
@@ -36,6 +36,7 @@ KINDS = [
     (QuantileDQN, CandidateNetwork),
     (DiscreteSAC, MLPNetwork),
     (PPO, CandidateNetwork),
+    (functools.partial(IQN, quantiles=4), functools.partial(ImplicitQuantileNetwork, hidden=(16, 16))),
 ]
 
 
