@@ -80,15 +80,11 @@ class MemoryState:
             refuse("buffer.writer._cursor", f"is {cursor}, but the {size} rows there end at {size}")
 
     def _check_kind(self, packed: dict[str, Any]) -> None:
-        """The items are such as the loss keeps: same keys, dtypes and shapes."""
+        """The items are such as the loss keeps: same keys and dtypes. Sizes may be those of a larger network."""
         if self._rows is None:
             return
-        rows = self._rows.flatten_keys(".")
-        kept = {key: [str(value.dtype), list(value.shape[1:])] for key, value in rows.items()}
-        found = {
-            key: [content.get("dtype"), content.get("shape")] if isinstance(content, dict) else None
-            for key, content in packed.items()
-        }
+        kept = {key: str(value.dtype) for key, value in self._rows.flatten_keys(".").items()}
+        found = {key: content.get("dtype") if isinstance(content, dict) else None for key, content in packed.items()}
         differ = sorted(key for key in {*kept, *found} if kept.get(key) != found.get(key))
         if differ:
             refuse(
