@@ -6,15 +6,20 @@ values. The policy gradients are in ``test_policy_gradient.py``.
 
 import math
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
 from torchrl.objectives import DiscreteCQLLoss, DiscreteIQLLoss, DiscreteSACLoss, DistributionalDQNLoss, DQNLoss
 from two_states import SIZES, set_target, table_network, transition
 
-from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.errors import CheckpointError, ScenarioError
+from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import DQN, request_loss
-from nfv_torchrl.networks import MLPNetwork
+from nfv_torchrl.methods import load_policy, policy_content, save_policy
+from nfv_torchrl.networks import MLPNetwork, Sizes
+from nfv_torchrl.scenario import paper_scenario
+from nfv_torchrl.simulator import Simulator
 
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 
@@ -241,6 +246,27 @@ def test_a_class_derived_from_torchrls_keeps_what_it_overrides():
     with pytest.raises(ScenarioError, match=r"loss.double_dqn: unknown key.*loss_function"):
         make(Narrow, ONLINE, double_dqn=True)
     assert make(Narrow, ONLINE, loss_function="l1").double_dqn
+
+
+def test_a_policy_file_builds_torchrls_classes_and_those_of_trusted_packages(tmp_path):
+    scenario = paper_scenario(nodes=4, seed=1, horizon=10, arrival_rate=2)
+    sizes = Sizes.of(Simulator(scenario, 1, one_hot=True))
+    loss = request_loss(Shifted)(partial(MLPNetwork, hidden=[8]), sizes, shift=1.0)
+    network = {"_target_": "nfv_torchrl.networks.MLPNetwork", "_partial_": True, "hidden": [8]}
+
+    def written(**spec) -> Path:
+        config = {"one_hot": True, "network": network, "loss": spec}
+        save_policy(tmp_path / "best.pt", policy_content(loss, sizes, config, scenario, {}))
+        return tmp_path / "best.pt"
+
+    own = written(_target_=f"{__name__}.Shifted", shift=1.0)
+    with pytest.raises(CheckpointError, match="trusted_packages"):
+        load_policy(own, scenario)
+    first = run_method(scenario, load_policy(own, scenario, trusted_packages=[__name__]), [0])[0]
+    second = run_method(scenario, load_policy(written(_target_="torchrl.objectives.DQNLoss"), scenario), [0])[0]
+    assert (first.accepted == second.accepted).all()
+    with pytest.raises(CheckpointError, match=r"loss\.priority_key: unknown key"):
+        load_policy(written(_target_="torchrl.objectives.DQNLoss", priority_key="x"), scenario)
 
 
 def test_a_setting_that_torchrl_refuses_is_one_line():

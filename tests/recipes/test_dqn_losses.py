@@ -43,7 +43,7 @@ CHOICES = {
         SHORT,
     ],
     "paper_literal": ["preset=paper", "loss=paper_literal", SHORT],
-    "DQNLoss": ["loss._target_=torchrl.objectives.DQNLoss", "+loss.delay_value=false", SHORT],
+    "DQNLoss": ["loss._target_=torchrl.objectives.DQNLoss", "+loss.delay_value=false", "buffer=prioritized", SHORT],
     "DistributionalDQNLoss": ["loss._target_=torchrl.objectives.DistributionalDQNLoss", "+loss.atoms=5", SHORT],
     "DiscreteSACLoss": ["loss._target_=torchrl.objectives.DiscreteSACLoss", "exploration=none", "network=noisy", SHORT],
     "DiscreteIQLLoss": ["loss._target_=torchrl.objectives.DiscreteIQLLoss", "network=candidate", SHORT],
