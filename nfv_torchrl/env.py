@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -148,6 +148,10 @@ class NFVEnv(LeanEnv):
         """Carry out ``actions`` int64 [B]."""
         self.simulator.step(actions)
 
+    def _outcome(self) -> Mapping[str, np.ndarray]:
+        """What the last step brought, for the reward, float64 [B] by name."""
+        return self.simulator.outcome
+
     def _observe(self) -> TensorDictBase:
         """What a controller sees now, in tensors of its own."""
         return read_observation(self.simulator, self.parts)
@@ -162,7 +166,7 @@ class NFVEnv(LeanEnv):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._act(tensordict.get("action").reshape(-1).numpy())
-        reward = np.asarray(self.reward(self.simulator.outcome, self.cost_scale), np.float32)
+        reward = np.asarray(self.reward(self._outcome(), self.cost_scale), np.float32)
         if not np.isfinite(reward).all():
             raise ScenarioError(
                 f"reward: {getattr(self.reward, '__name__', type(self.reward).__name__)} returned "

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.planners.menu import LEAST_COST
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.tables import Tables
 
@@ -71,6 +73,24 @@ def admission_step_cost(
     """
     steps = w_cost * outcome["step_cost"] / scale.step + w_step * outcome["passed"]
     return w_acc * outcome["accepted"] - steps
+
+
+def admission_regret(
+    outcome: Mapping[str, np.ndarray], scale: CostScale, *, w_acc: float = 1.0, w_cost: float = 0.1
+) -> np.ndarray:
+    """``w_acc - w_cost (phi / phi_min - 1)`` for an accepted request, 0 for a rejected one.
+
+    phi_min is what the cheapest walk would have cost when the request came, so a request that is dear to everybody is
+    worth as much as any. For ``PlanEnv`` alone, which knows phi_min.
+
+    Raises:
+        ScenarioError: the environment does not say phi_min.
+    """
+    if "least_cost" not in outcome:
+        raise ScenarioError("reward: admission_regret needs the least cost of a request; use it with env=plans")
+    accepted = outcome["accepted"] > 0
+    least = np.where(accepted, np.maximum(outcome["least_cost"], LEAST_COST), 1.0)
+    return np.where(accepted, w_acc - w_cost * (outcome["request_cost"] / least - 1.0), 0.0)
 
 
 def cost_scale(tables: Tables, net: np.ndarray) -> CostScale:

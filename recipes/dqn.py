@@ -4,6 +4,7 @@
     python recipes/dqn.py scenario=geant loss=dqn network.hidden=[512,512]
     python recipes/dqn.py run_dir=runs/dqn resume=true
     python recipes/dqn.py network=candidate init_from=runs/imitation/best.pt
+    python recipes/dqn.py preset=plans           # one decision a request, among exact walks, on random networks
 
 Copy, paste and change it: every part below can be replaced without touching the others.
 """
@@ -11,6 +12,7 @@ Copy, paste and change it: every part below can be replaced without touching the
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import torch
 from hydra.utils import instantiate
@@ -23,24 +25,20 @@ from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule
 from tqdm import tqdm
 
-from nfv_torchrl.env import NFVEnv
-from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses import q_network
 from nfv_torchrl.methods import load_weights
-from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import DqnSettings, read_settings
-from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.env_state import EnvState
 from nfv_torchrl.training.finite import check_learning
-from nfv_torchrl.training.learner import gradient_step, target_updater
+from nfv_torchrl.training.learner import falling_rate, gradient_step, target_updater
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
-from nfv_torchrl.training.room import check_compiler, check_environments
+from nfv_torchrl.training.room import check_any_size, check_compiler, check_environments
 from nfv_torchrl.training.run import RunFolder, evaluate_policy
 from nfv_torchrl.training.setup import StopRequest, choose_device, make_loss, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
@@ -62,28 +60,26 @@ def main(cfg: DictConfig) -> None:
         worlds = source.scenarios(cfg.seed, cfg.collector.num_envs)
     folder = RunFolder(config, worlds)
 
-    # Loss first: it makes the network, whose observations the environment has to emit.
-    sizes = Sizes.of(Simulator(worlds, len(worlds), one_hot=cfg.one_hot))
+    # What one decision is. Loss first: it makes the network, whose observations the environment has to emit.
+    decisions = instantiate(cfg.env)
+    sizes = decisions.sizes(worlds, one_hot=cfg.one_hot)
     loss = make_loss(cfg.loss, instantiate(cfg.network), sizes).to(device)
-    if cfg.networks is not None and not q_network(loss).any_size:
-        raise ScenarioError("networks: substrates of several sizes need a network that fits any; set network=candidate")
+    check_any_size(loss, cfg.networks)
     if cfg.init_from and not cfg.resume:
         load_weights(q_network(loss), cfg.init_from)
-    rows = some_rows(loss, worlds[0], one_hot=cfg.one_hot, steps=cfg.collector.steps)
+    environment = partial(decisions.environment, loss=loss, reward=instantiate(cfg.reward), one_hot=cfg.one_hot)
+    rows = some_rows(loss, environment(worlds[0], 1), steps=cfg.collector.steps)
     item = check_replay(loss, rows, config["buffer"], size=cfg.buffer.size)  # bytes
-    if cfg.learner.compile:
-        check_compiler(device)
-    env = NFVEnv(
+    env = environment(
         worlds,
         cfg.collector.num_envs,
-        reward=instantiate(cfg.reward),
-        one_hot=cfg.one_hot,
-        observations=q_network(loss).observations(),
         stagger=cfg.stagger,
         segment=cfg.segment,
         seed=cfg.seed,
         threads=cfg.env_threads,
     )
+    # Made anew for each evaluation: a compiled method keeps the weights that it was made with.
+    method = partial(decisions.method, loss, one_hot=cfg.one_hot)
 
     # Policy and exploration. A spec of its own: a batched environment's spec would take on the mask.
     explore = EGreedyModule(Categorical(sizes.actions), action_mask_key="action_mask").to(device)
@@ -102,6 +98,7 @@ def main(cfg: DictConfig) -> None:
         return learned
 
     if cfg.learner.compile:
+        check_compiler(device)
         update = torch.compile(update)
 
     progress = Progress()
@@ -152,9 +149,10 @@ def main(cfg: DictConfig) -> None:
 
             started = time.perf_counter()
             if progress.frames >= cfg.buffer.warmup_frames:
-                for _ in range(cfg.learner.updates):
-                    learning = update(batch := buffer.sample().to(device, non_blocking=True))
-                    buffer.update_tensordict_priority(batch)  # if its sampler has any
+                with falling_rate(optimizer, cfg.learner, progress.frames / cfg.collector.total_frames):
+                    for _ in range(cfg.learner.updates):
+                        learning = update(batch := buffer.sample().to(device, non_blocking=True))
+                        buffer.update_tensordict_priority(batch)  # if its sampler has any
                 progress.updates += cfg.learner.updates
             progress.learning_seconds += time.perf_counter() - started
             check_learning(learning, progress)
@@ -163,14 +161,14 @@ def main(cfg: DictConfig) -> None:
                 line = logger.iteration(progress, window, data, learning, epsilon=float(explore.eps))
                 bar.set_postfix_str(line)
             if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
-                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
             if progress.iteration % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
             bar.update(progress.frames - bar.n)
 
     bar.close()
     if cfg.eval.interval and not stop.asked and progress.iteration % cfg.eval.interval:
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
     folder.save(state, progress.frames)
     logger.close()
     collector.shutdown()

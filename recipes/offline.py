@@ -69,7 +69,8 @@ def main(cfg: DictConfig) -> None:
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=cfg.one_hot))
     loss = make_loss(cfg.loss, instantiate(cfg.network), sizes).to(device)
 
-    rows = some_rows(loss, scenario, one_hot=cfg.one_hot, steps=cfg.record.steps)
+    of_one = NFVEnv(scenario, 1, one_hot=cfg.one_hot, observations=q_network(loss).observations())
+    rows = some_rows(loss, of_one, steps=cfg.record.steps)
     size = -(-cfg.record.frames // (cfg.record.num_envs * cfg.record.steps)) * cfg.record.num_envs * len(rows)
     check_replay(loss, rows, config["buffer"], size=size)
 

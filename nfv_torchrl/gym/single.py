@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -36,6 +36,7 @@ class NFVGymEnv(gymnasium.Env[np.ndarray, np.int64]):
     """
 
     metadata = {"render_modes": MODES, "render_fps": FPS}  # noqa: RUF012  as in gymnasium.Env
+    worlds: ClassVar[type[Worlds]] = Worlds
 
     def __init__(
         self,
@@ -47,7 +48,7 @@ class NFVGymEnv(gymnasium.Env[np.ndarray, np.int64]):
         render_mode: str | None = None,
     ) -> None:
         self.render_mode = check_mode(render_mode)
-        self._worlds = Worlds(scenario, [seed], reward=reward, one_hot=one_hot)
+        self._worlds = self.worlds(scenario, [seed], reward=reward, one_hot=one_hot)
         self.scenario, self.simulator = self._worlds.scenario, self._worlds.simulator
         self.observation_space, self.action_space = self._worlds.observation_space, self._worlds.action_space
         self._picture: NetworkPicture | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -44,6 +44,7 @@ class NFVVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray
         "render_fps": FPS,
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
+    worlds: ClassVar[type[Worlds]] = Worlds
 
     def __init__(
         self,
@@ -59,7 +60,7 @@ class NFVVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray
         if num_envs < 1:
             raise ScenarioError(f"num_envs is {num_envs}; at least one environment is needed")
         self.num_envs, self.render_mode = num_envs, check_mode(render_mode)
-        self._worlds = Worlds(scenario, self._seeds(seed), reward=reward, one_hot=one_hot, threads=threads)
+        self._worlds = self.worlds(scenario, self._seeds(seed), reward=reward, one_hot=one_hot, threads=threads)
         self.scenario, self.simulator = self._worlds.scenario, self._worlds.simulator
         self.single_observation_space = self._worlds.observation_space
         self.single_action_space = self._worlds.action_space
@@ -112,9 +113,9 @@ class NFVVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray
         final: dict[str, Any] = {}
         if ended.any():
             last = np.full(self.num_envs, None, dtype=object)
-            rows = np.flatnonzero(ended).tolist()
+            rows, seen = np.flatnonzero(ended).tolist(), self._worlds.observations()
             for b in rows:
-                last[b] = self.simulator.world.seen.flat[b].copy()
+                last[b] = seen[b].copy()
             final = {"final_obs": last, "_final_obs": ended.copy()}
             final |= {"final_info": self._info(ended), "_final_info": ended.copy()}
             self._worlds.begin(rows)

@@ -70,8 +70,16 @@ class Worlds:
         """One step of every network with ``actions`` int64 [B]; returns rewards float64 [B]."""
         if min(self.episodes) < 0:
             raise gymnasium.error.ResetNeeded("call reset() before the first step")
+        self._act(actions)
+        return np.array(self.reward(self._outcome(), self.cost_scale), np.float64)
+
+    def _act(self, actions: np.ndarray) -> None:
+        """Carry out ``actions`` int64 [B]."""
         self.simulator.step(actions)
-        return np.array(self.reward(self.simulator.outcome, self.cost_scale), np.float64)
+
+    def _outcome(self) -> Mapping[str, np.ndarray]:
+        """What the last step brought, for the reward, float64 [B] by name."""
+        return self.simulator.outcome
 
     def done(self) -> np.ndarray:
         """Horizons that are over, bool [B]."""
@@ -89,7 +97,7 @@ class Worlds:
         """``action_mask`` int8 [B, A], and of the last step, [B] each, what ``NFVGymEnv`` says of it."""
         outcome = self.simulator.world.outcome
         return {
-            "action_mask": self.simulator.world.seen.mask.astype(np.int8),
+            "action_mask": self.masks().astype(np.int8),
             "request_done": outcome[:, OUTCOME.request_done] > 0,
             "accepted": outcome[:, OUTCOME.accepted] > 0,
             "rejection_reason": outcome[:, OUTCOME.reason].astype(np.int64),

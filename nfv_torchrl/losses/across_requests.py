@@ -52,12 +52,15 @@ class AcrossRequests(MaskedLoss):
         n: most rewards to sum after a request; ``collector.steps`` should be larger.
         double: choose the next action by the online network, else by the target network.
         by_service: a rate for each service type.
+        environments: E. With more than 1 each row b of a collected batch has rates of its own, those of environment
+            b modulo E: what a request earns on average differs between networks, and learning need not see that.
         loss_function: ``l2``, ``smooth_l1`` or ``l1``.
 
     Keys read: the network's ``in_keys``, ``action_mask`` bool [A], ``action`` int64 [], and under ``next`` the same
     observation and mask, k steps on, with ``reward`` float32 [1], the sum of the $D_i r_{t+i}$, ``terminated``
     bool [1], ``discount`` float32 [1], which is $D_k$, and ``requests`` float32 [M], the sum of
-    $D_i e_{t+i}$ by service (M = 1 or the number of types). ``prepare`` makes them from a batch [B, T], time in
+    $D_i e_{t+i}$ by service (M = 1 or the number of types); with several environments also ``environment`` int64 [1].
+    ``prepare`` makes them from a batch [B, T], time in
     dimension 1, with ``request_done`` bool [1], ``done`` bool [1] and ``outcome`` under ``next``.
 
     Writes ``loss`` []. Logs ``reward_rate`` [], the mean rate over services, and ``td_error`` [], the mean absolute
@@ -68,11 +71,12 @@ class AcrossRequests(MaskedLoss):
     class _AcceptedKeys(MaskedLoss._AcceptedKeys):
         discount: NestedKey = "discount"
         requests: NestedKey = "requests"
+        environment: NestedKey = "environment"
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
     rate: Tensor
-    """Reward rate of each service, float32 [M]."""
+    """Reward rate of each service, float32 [M], or [E, M] with several environments."""
     out_keys = ["loss", "reward_rate", "td_error"]  # noqa: RUF012  as TorchRL's losses have it
 
     def __init__(
@@ -83,6 +87,7 @@ class AcrossRequests(MaskedLoss):
         n: int = 1,
         double: bool = True,
         by_service: bool = False,
+        environments: int = 1,
         loss_function: str = "l2",
     ) -> None:
         if n < 1:
@@ -91,7 +96,9 @@ class AcrossRequests(MaskedLoss):
         super().__init__(q_network, stop_at="terminated")
         self.n, self.double, self.by_service, self.loss_function = n, double, by_service, loss_function
         self.adopt(q_network, actor=greedy_actor(q_network, sizes.actions))
-        self.register_buffer("rate", torch.zeros(sizes.services if by_service else 1))
+        self.environments = environments
+        rates = sizes.services if by_service else 1
+        self.register_buffer("rate", torch.zeros(rates) if environments == 1 else torch.zeros(environments, rates))
 
     @abstractmethod
     def request_discount(self, after: TensorDictBase) -> Tensor | float:
@@ -123,6 +130,8 @@ class AcrossRequests(MaskedLoss):
         out.set(_after(keys.reward), torch.where(over, total, reward).unsqueeze(-1))
         out.set(_after(keys.discount), torch.where(over, ahead, 1.0).unsqueeze(-1))
         out.set(_after(keys.requests), torch.stack(requests, -1) * over.unsqueeze(-1))
+        if self.environments > 1:
+            out.set(_after(keys.environment), self.environment(after))
         return out.reshape(-1)
 
     def ends(self, after: TensorDictBase) -> Tensor:
@@ -131,7 +140,12 @@ class AcrossRequests(MaskedLoss):
         if not self.by_service:
             return over
         service = after.get(("outcome", "service")).squeeze(-1)
-        return over & (service.unsqueeze(-1) == torch.arange(len(self.rate), device=service.device))
+        return over & (service.unsqueeze(-1) == torch.arange(self.rate.shape[-1], device=service.device))
+
+    def environment(self, after: TensorDictBase) -> Tensor:
+        """The environment of each step, int64 [B, T, 1]."""
+        rows, steps = after.batch_size
+        return (torch.arange(rows, device=after.device) % self.environments).view(rows, 1, 1).expand(-1, steps, -1)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """The loss of transitions made by ``prepare``."""
@@ -157,7 +171,10 @@ class AcrossRequests(MaskedLoss):
         judges = self.outputs("value_network", after) if self.double else values
         best = masked_argmax(judges, self.mask(after))
         ahead = self.returns(tensordict, values.gather(-1, best), after.get(keys.discount))
-        return ahead - (after.get(keys.requests) * self.rate).sum(-1, keepdim=True)
+        rate = self.rate
+        if self.environments > 1:
+            rate = rate[after.get(keys.environment).squeeze(-1)]
+        return ahead - (after.get(keys.requests) * rate).sum(-1, keepdim=True)
 
 
 def _after(key: NestedKey) -> tuple[str, ...]:

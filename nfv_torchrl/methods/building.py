@@ -25,6 +25,7 @@ from nfv_torchrl.losses.torchrl_losses import FITS
 from nfv_torchrl.methods.evolved import CandidatePolicy, Evolvable, PricePolicy
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
+from nfv_torchrl.plans.planner import MenuPlanner
 
 Place = str | os.PathLike[str]
 
@@ -54,10 +55,11 @@ CLASSES: Mapping[str, Mapping[str, type]] = {
         networks.GRUNetwork,
         networks.ImplicitQuantileNetwork,
         networks.MLPNetwork,
+        networks.MenuNetwork,
         PriceNetwork,
     ),
     "loss": _by_name(*_losses(), *FITS),
-    "planner": _by_name(NFVdeepPlanner),
+    "planner": _by_name(NFVdeepPlanner, MenuPlanner),
     "policy": {
         **_by_name(CandidatePolicy, PricePolicy),
         "nfv_torchrl.evolution.CandidatePolicy": CandidatePolicy,

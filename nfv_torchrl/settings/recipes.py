@@ -141,12 +141,14 @@ class Learner:
     lr: LearningRate
     max_grad_norm: Positive | None
     compile: bool
+    lr_end: LearningRate | None
 
 
 @dataclass(frozen=True)
 class DqnSettings(Run):
     """See ``config/dqn.yaml``."""
 
+    env: Decisions
     network: Network
     loss: ReplayLoss
     reward: Reward

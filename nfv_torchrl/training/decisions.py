@@ -1,4 +1,4 @@
-"""What one decision of a policy is: a hop of the walk, or a function of the chain (NFVdeep); a recipe's ``env``."""
+"""What one decision of a policy is: a hop, a function of the chain (NFVdeep) or a whole plan; a recipe's ``env``."""
 
 from __future__ import annotations
 
@@ -11,9 +11,16 @@ from nfv_torchrl.losses import q_network
 from nfv_torchrl.methods import Method, PlannerMethod, acting_method
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.nfvdeep import NFVdeepEnv, NFVdeepPlanner
+from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
 from nfv_torchrl.rewards import Reward
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
+
+
+def _simulator(scenarios: Scenario | Sequence[Scenario], *, one_hot: bool = False) -> Simulator:
+    """One environment on each of the scenarios."""
+    worlds = [scenarios] if isinstance(scenarios, Scenario) else scenarios
+    return Simulator(worlds, len(worlds), one_hot=one_hot)
 
 
 class HopDecisions:
@@ -22,9 +29,9 @@ class HopDecisions:
     def __init__(self) -> None:
         """Nothing to set."""
 
-    def sizes(self, scenario: Scenario, *, one_hot: bool) -> Sizes:
+    def sizes(self, scenarios: Scenario | Sequence[Scenario], *, one_hot: bool) -> Sizes:
         """Sizes of what the policy sees and chooses from."""
-        return Sizes.of(Simulator(scenario, 1, one_hot=one_hot))
+        return Sizes.of(_simulator(scenarios, one_hot=one_hot))
 
     def environment(
         self, scenarios: Scenario | Sequence[Scenario], batch_size: int, loss: Any, *, reward: Reward, **options: Any
@@ -48,7 +55,7 @@ class FunctionDecisions:
     def __init__(self, planner: NFVdeepPlanner) -> None:
         self.planner = planner
 
-    def sizes(self, scenario: Scenario, *, one_hot: bool) -> Sizes:
+    def sizes(self, scenarios: Scenario | Sequence[Scenario], *, one_hot: bool) -> Sizes:
         """Sizes of what the policy sees and chooses from.
 
         Raises:
@@ -56,7 +63,7 @@ class FunctionDecisions:
         """
         if one_hot:
             raise ScenarioError("one_hot: true; env=nfvdeep has an observation of its own, set one_hot=false")
-        return self.planner.sizes(Simulator(scenario, 1))
+        return self.planner.sizes(_simulator(scenarios))
 
     def environment(
         self,
@@ -81,3 +88,39 @@ class FunctionDecisions:
     def method(self, loss: Any, *, one_hot: bool = False) -> Method:
         """How the policy being learned answers requests in an evaluation."""
         return PlannerMethod(self.planner.follow(loss.actor), name="nfvdeep")
+
+
+class PlanDecisions:
+    """A whole plan a decision: ``PlanEnv``, among exact walks at several price levels.
+
+    Args:
+        planner: makes the walks, and turns the policy's choices into plans in evaluations.
+    """
+
+    def __init__(self, planner: MenuPlanner) -> None:
+        self.planner = planner
+
+    def sizes(self, scenarios: Scenario | Sequence[Scenario], *, one_hot: bool = False) -> Sizes:
+        """Sizes of what the policy sees and chooses from; ``one_hot`` makes no difference."""
+        worlds = [scenarios] if isinstance(scenarios, Scenario) else scenarios
+        # Networks of one size do for that, whatever the rules of each.
+        return self.planner.sizes(_simulator(worlds[0]))
+
+    def environment(
+        self,
+        scenarios: Scenario | Sequence[Scenario],
+        batch_size: int,
+        loss: Any,
+        *,
+        reward: Reward,
+        one_hot: bool = False,
+        **options: Any,
+    ) -> PlanEnv:
+        """The environment that ``loss`` learns in; ``options`` are those of ``PlanEnv``."""
+        menus = Menus(self.planner.menus.level.tolist(), self.planner.menus.steepness)
+        parts = q_network(loss).observations()
+        return PlanEnv(scenarios, batch_size, menus=menus, reward=reward, observations=parts, **options)
+
+    def method(self, loss: Any, *, one_hot: bool = False) -> Method:
+        """How the policy being learned answers requests in an evaluation."""
+        return PlannerMethod(self.planner.follow(loss.actor), name="plans")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Protocol
 
 import torch
 from hydra.utils import instantiate
@@ -60,3 +61,27 @@ def gradient_step(
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm or float("inf"))
     optimizer.step()
     return values.detach().update({"loss": total.detach(), "gradient_norm": norm.detach()})
+
+
+class Rate(Protocol):
+    """The learning rate of a recipe: ``lr``, and ``lr_end``, what it falls to (null: it stays)."""
+
+    lr: float
+    lr_end: float | None
+
+
+@contextmanager
+def falling_rate(optimizer: torch.optim.Optimizer, learner: Rate, done: float) -> Iterator[None]:
+    """Let ``optimizer`` learn at a rate on the straight line from ``lr`` to ``lr_end``, if there is one.
+
+    ``done``: the share of the run that is done. In closed form, so that a resumed run goes on exactly; a checkpoint
+    has the rate that the run was started with.
+    """
+    rate = learner.lr
+    if learner.lr_end is not None:
+        rate += (learner.lr_end - learner.lr) * min(done, 1.0)
+    for group in optimizer.param_groups:
+        group["lr"] = rate
+    yield
+    for group in optimizer.param_groups:
+        group["lr"] = learner.lr

@@ -22,9 +22,7 @@ from torchrl.data.replay_buffers.storages import TensorStorage
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError, one_line
-from nfv_torchrl.losses import q_network
 from nfv_torchrl.scenario.limits import check_memory
-from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.disk import tensor_bytes
 from nfv_torchrl.training.memory import MemoryState
 
@@ -66,11 +64,10 @@ def make_buffer(
     )
 
 
-def some_rows(loss: Any, scenario: Scenario, *, one_hot: bool, steps: int) -> TensorDictBase:
-    """What the loss keeps of ``steps`` steps of one environment, [rows]; nothing of loss or random numbers changes."""
+def some_rows(loss: Any, env: NFVEnv, *, steps: int) -> TensorDictBase:
+    """What the loss keeps of ``steps`` steps of ``env``, [rows]; nothing of loss or random numbers changes."""
     with _same_random_numbers():
         loss = copy.deepcopy(loss).to("cpu")
-        env = NFVEnv(scenario, 1, one_hot=one_hot, observations=q_network(loss).observations())
         with torch.no_grad():
             data = env.rollout(steps, loss.actor, break_when_any_done=False)
         return loss.prepare(data)

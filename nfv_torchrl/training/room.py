@@ -1,10 +1,13 @@
-"""What a training would take is estimated and refused before its folder is opened: memory, and a compiler."""
+"""What a training would take is refused before its folder is opened: memory, a compiler, networks of any size."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 
 from nfv_torchrl.errors import ScenarioError, one_line
+from nfv_torchrl.losses import q_network
 from nfv_torchrl.scenario.limits import check_memory
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
@@ -26,6 +29,16 @@ def check_environments(scenario: Scenario, num_envs: int, steps: int, key: str =
             f"{key}.steps={steps} of {num_envs} environments": float(frame) * num_envs * steps,
         }
     )
+
+
+def check_any_size(loss: Any, networks: Any) -> None:
+    """Refuse ``networks``, substrates of several sizes, for a loss whose network fits one size; None: there are none.
+
+    Raises:
+        ScenarioError: so it is.
+    """
+    if networks is not None and not q_network(loss).any_size:
+        raise ScenarioError("networks: substrates of several sizes need a network that fits any; set network=candidate")
 
 
 def check_compiler(device: torch.device) -> None:

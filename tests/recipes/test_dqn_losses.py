@@ -50,6 +50,14 @@ CHOICES = {
     "dueling": ["network=dueling"],
     "noisy": ["network=noisy", "exploration=none"],
     "candidate": ["network=candidate", "loss=distributional"],
+    "plans": [
+        "preset=plans",
+        "networks.nodes=[5,7]",
+        "networks.arrival_rate=[4]",
+        "segment=5",
+        *TINY_TRAINING,
+    ],
+    "plans by quantiles": ["env=plans", "network=mlp", "loss=distributional"],
     "networks": ["network=candidate", "networks=random", "networks.nodes=[5,7]", "networks.arrival_rate=[4]"],
 }
 

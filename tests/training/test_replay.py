@@ -8,8 +8,9 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import LazyMemmapStorage, RandomSampler
 
+from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import CheckpointError, ScenarioError
-from nfv_torchrl.losses import DQN, Imitation, RecurrentDQN
+from nfv_torchrl.losses import DQN, Imitation, RecurrentDQN, q_network
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.networks.gru import GRUNetwork
 from nfv_torchrl.networks.mlp import MLPNetwork
@@ -35,6 +36,10 @@ SCENARIO = paper_scenario(horizon=30, arrival_rate=4.0)
 
 def memory(parts, size=8, batch_size=4):
     return make_buffer(parts, size=size, batch_size=batch_size, device="cpu")
+
+
+def env_of(loss):
+    return NFVEnv(SCENARIO, 1, observations=q_network(loss).observations())
 
 
 def items(first, last):
@@ -128,7 +133,7 @@ def test_parts_are_tried_before_a_run_and_leave_no_trace():
     expected = torch.rand(1)
     torch.manual_seed(5)
     for loss in (dqn, recurrent):
-        rows = some_rows(loss, SCENARIO, one_hot=True, steps=16)
+        rows = some_rows(loss, env_of(loss), steps=16)
         for parts in (UNIFORM, PRIORITIZED, RECENT, ONCE):
             item = check_replay(loss, rows, parts, size=100)
         buffer = memory(UNIFORM, size=len(rows))
@@ -136,7 +141,7 @@ def test_parts_are_tried_before_a_run_and_leave_no_trace():
         assert item == tensor_bytes(buffer[:].exclude("index").to_dict()) / len(rows)
     assert torch.equal(torch.rand(1), expected)
 
-    rows = some_rows(imitation, SCENARIO, one_hot=True, steps=16)
+    rows = some_rows(imitation, env_of(imitation), steps=16)
     slices = UNIFORM | {"sampler": {"_target_": "torchrl.data.SliceSampler", "num_slices": 2}}
     best = UNIFORM | {"writer": {"_target_": "torchrl.data.TensorDictMaxValueWriter", "rank_key": "action"}}
     for parts, size, named in (
@@ -155,7 +160,7 @@ def test_items_can_be_on_the_disk(tmp_path):
         "storage": {"_target_": "torchrl.data.LazyMemmapStorage", "scratch_dir": str(tmp_path / "items")}
     }
     loss = losses()[0]
-    rows = some_rows(loss, SCENARIO, one_hot=True, steps=8)
+    rows = some_rows(loss, env_of(loss), steps=8)
     check_replay(loss, rows, parts, size=100)
     assert not list(tmp_path.iterdir())
     with pytest.raises(ScenarioError, match=r"buffer\.size=10+ needs .* GB on the disk of"):

@@ -1,0 +1,86 @@
+"""A network that values the walks of a menu, with the same weights on networks of any size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import torch
+from torch import Tensor, nn
+
+from nfv_torchrl.networks.base import QNetwork, Sizes
+from nfv_torchrl.networks.layers import perceptron
+from nfv_torchrl.observations.menu import ROW, STATE, MenuShape
+from nfv_torchrl.settings.values import Activation, NotNegative, OneOf, Width
+
+FORMS = ("price", "free")
+
+
+class MenuNetwork(QNetwork):
+    r"""Q-values made of what is known, and of two perceptrons for what has to be learned.
+
+    $$
+    Q(s, k) = w_{acc} - w_{cost} \Big(\frac{\phi_k}{\phi_0} - 1\Big) + V(s) - \frac{l(s)}{\bar l} \, \tau(s) \, g(s, k),
+    \qquad Q(s, \mathrm{reject}) = V(s)
+    $$
+
+    The first two terms are the reward of ``admission_regret`` for walk k, whose cost is $\phi_k$. V says how good the
+    state of the network is, with this request in hand. The last term is what the walk does to later requests: a bid
+    price g for each unit that the request holds, times its demand, the load l of its chain over the mean over services,
+    and its expected stay $\tau$ in mean lifetimes (1 where lifetimes are hidden). So a light request is hardly ever
+    refused, whatever g says. The form ``free`` leaves out both factors.
+
+    V and g begin at zero. An untrained network takes the cheapest walk, as ``myopic_optimal`` does.
+
+    Reads ``observation`` float32 [..., P] of ``PlanEnv``.
+
+    Args:
+        sizes: observation, actions and services of ``PlanEnv``.
+        outputs: outputs per action.
+        hidden: neurons of each hidden layer, of both perceptrons.
+        activation: name of a ``torch.nn`` activation.
+        form: ``price`` or ``free``.
+        w_acc: of the reward.
+        w_cost: of the reward.
+    """
+
+    in_keys = ("observation",)
+    any_size = True
+
+    def __init__(
+        self,
+        sizes: Sizes,
+        outputs: int = 1,
+        *,
+        hidden: Sequence[Width] = (64, 64),
+        activation: Activation = "ReLU",
+        form: Annotated[str, OneOf(*FORMS)] = "price",
+        w_acc: NotNegative = 1.0,
+        w_cost: NotNegative = 0.1,
+    ) -> None:
+        super().__init__()
+        self.outputs, self.form = outputs, form
+        self.w_acc, self.w_cost = float(w_acc), float(w_cost)
+        self.shape = MenuShape.of(sizes.services, sizes.actions - 1)
+        self.value = perceptron(self.shape.state, outputs, hidden, activation)
+        self.price = perceptron(self.shape.state + self.shape.row, outputs, hidden, activation)
+        for layers in (self.value, self.price):
+            nn.init.zeros_(layers[-1].weight)
+            nn.init.zeros_(layers[-1].bias)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Values of all walks and of reject, last."""
+        state, rows = self._split(observation)
+        beside = state.unsqueeze(-2)
+        price = self.price(torch.cat([beside.expand(*rows.shape[:-1], -1), rows], -1))
+        if self.form == "price":
+            price = price * (beside[..., STATE.demand, None] * beside[..., STATE.stay, None])
+        value = self.value(beside)
+        known = self.w_acc - self.w_cost * rows[..., ROW.regret, None]
+        values = torch.cat([known + value - price, value], -2)
+        return values.squeeze(-1) if self.outputs == 1 else values
+
+    def _split(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Numbers of the state [..., S] and of the walks [..., K, R]."""
+        state, rows = observation.split([self.shape.state, self.shape.rows * self.shape.row], -1)
+        return state, rows.unflatten(-1, (self.shape.rows, self.shape.row))

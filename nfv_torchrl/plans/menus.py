@@ -1,0 +1,75 @@
+"""Menus of a batch of environments, with what a policy sees of them, in arrays that are allocated once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from nfv_torchrl.observations.menu import MenuShape, MenuView, describe_menus, make_menu_view
+from nfv_torchrl.planners.menu import (
+    LEVELS,
+    STEEPNESS,
+    Menu,
+    MenuScratch,
+    check_levels,
+    fill_menus,
+    grow_menu_scratch,
+    make_menu,
+    make_menu_scratch,
+)
+from nfv_torchrl.settings.values import AboveOne, NotNegative
+from nfv_torchrl.simulator.state import World
+from nfv_torchrl.simulator.tables import Tables
+
+
+class Menus:
+    """Makes and describes the menus of the requests that environments are at.
+
+    Args:
+        levels: p of each walk, in mean unit costs of the network's VMs, rising from 0.
+        steepness: M, how late prices rise.
+
+    Attributes:
+        menu: the walks, after ``make``.
+        flat: what a policy sees of them, float32 [B, P], see ``MenuShape``.
+
+    Raises:
+        ScenarioError: levels that do not rise from 0.
+    """
+
+    menu: Menu
+    flat: np.ndarray
+    own: MenuScratch
+    view: MenuView
+
+    def __init__(self, levels: Sequence[NotNegative] = LEVELS, steepness: AboveOne = STEEPNESS) -> None:
+        self.level, self.steepness = check_levels(levels), float(steepness)
+        self._tables: Tables | None = None
+
+    def shape(self, tables: Tables) -> MenuShape:
+        """How ``flat`` is laid out."""
+        return MenuShape.of(len(tables.chain_length), len(self.level))
+
+    def prepare(self, world: World) -> None:
+        """Allocate what the environments of ``world`` need, unless that is done already."""
+        batch = len(world.env)
+        if self._tables is not world.tables:
+            self._tables = world.tables
+            self.own = make_menu_scratch(world.tables, self.level, self.steepness)
+            self.view = make_menu_view(world.tables)
+        elif len(self.flat) == batch and self.menu.action.shape[2] == world.rules.max_steps:
+            return
+        self.menu = make_menu(world.rules, batch, len(self.level))
+        self.flat = np.zeros((batch, self.shape(world.tables).size), np.float32)
+
+    def make(self, world: World, rows: np.ndarray) -> None:
+        """Make and describe the menus of the environments ``rows`` int64 [R]."""
+        left = rows
+        while True:
+            done = fill_menus(world, left, self.own, self.menu)
+            if done == left.size:
+                break
+            left = left[done:]
+            self.own = grow_menu_scratch(world.tables, self.own)
+        describe_menus(world, rows, self.view, self.menu, self.flat)

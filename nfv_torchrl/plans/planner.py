@@ -1,0 +1,137 @@
+"""A policy over menus as a planner: it chooses one of the walks of a request's menu, or refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torch import nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import QValueActor
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.losses.actors import scorer
+from nfv_torchrl.networks import Sizes
+from nfv_torchrl.networks.compiled import CompiledPerceptron, compiled_perceptron, score_row
+from nfv_torchrl.networks.menu import MenuNetwork
+from nfv_torchrl.observations.menu import ROW, STATE, MenuShape
+from nfv_torchrl.planners.base import Planner
+from nfv_torchrl.planners.menu import LEVELS, STEEPNESS
+from nfv_torchrl.plans.menus import Menus
+from nfv_torchrl.settings.values import AboveOne, NotNegative
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.compiled import kernel
+from nfv_torchrl.simulator.state import World
+
+
+class Prices(NamedTuple):
+    """A ``MenuNetwork`` as compiled code takes it: what decides between walks and reject; V is the same for all."""
+
+    price: CompiledPerceptron
+    x: np.ndarray  # float32 [S + R]
+    by_demand: bool  # whether the form is ``price``
+    w_acc: float
+    w_cost: float
+
+
+@kernel
+def choose_rows(rows, menu, flat, shape, prices, choices):
+    """Fill ``choices`` int64 [B] of the environments ``rows`` with the walk of the highest value, or with reject."""
+    net = prices.price
+    for r in range(rows.size):
+        b = rows[r]
+        best, highest = np.int64(shape.rows), 0.0
+        for i in range(shape.state):
+            prices.x[i] = flat[b, i]
+        for k in range(shape.rows):
+            if not menu.mask[b, k]:
+                continue
+            first = shape.state + k * shape.row
+            for i in range(shape.row):
+                prices.x[shape.state + i] = flat[b, first + i]
+            price = np.float64(score_row(net.weights, net.sizes, net.activation, prices.x, net.now, net.after))
+            if prices.by_demand:
+                price *= np.float64(flat[b, STATE.demand]) * np.float64(flat[b, STATE.stay])
+            value = prices.w_acc - prices.w_cost * np.float64(flat[b, first + ROW.regret]) - price
+            if value >= highest and (value > highest or best == shape.rows):
+                best, highest = np.int64(k), value
+        choices[b] = best
+
+
+class MenuPlanner(Planner):
+    """Plans of a policy that was trained in ``PlanEnv``; without one, the cheapest walk of each request.
+
+    Args:
+        levels: price levels of the menu, as in ``Menus``.
+        steepness: as in ``Menus``.
+    """
+
+    def __init__(self, levels: Sequence[NotNegative] = LEVELS, steepness: AboveOne = STEEPNESS) -> None:
+        self.menus = Menus(levels, steepness)
+        self._actor: Any = None
+        self._prices: Prices | None = None
+
+    def sizes(self, simulator: Simulator) -> Sizes:
+        """The sizes of the policy's observation and actions (one for each level, and reject)."""
+        services = len(simulator.tables.chain_length)
+        return Sizes(
+            observation=self.menus.shape(simulator.tables).size,
+            actions=len(self.menus.level) + 1,
+            services=services,
+            candidate_features=0,
+        )
+
+    def follow(self, actor: TensorDictModuleBase) -> MenuPlanner:
+        """Decide by ``actor`` from now on; by the weights that it has now, where its network can be compiled."""
+        self._actor, self._prices = actor, compiled_prices(actor)
+        return self
+
+    def prepare(self, world: World) -> None:
+        """See ``Planner``."""
+        self.menus.prepare(world)
+        self._choices = np.zeros(len(world.env), np.int64)
+
+    def plan_rows(self, world: World, rows: np.ndarray, plans: np.ndarray, lengths: np.ndarray) -> None:
+        """See ``Planner``."""
+        if len(getattr(self, "_choices", ())) != len(world.env):
+            self.prepare(world)
+        self.menus.make(world, rows)
+        menu, choices = self.menus.menu, self._choices
+        if self._actor is None:
+            choices[rows] = menu.mask[rows].argmax(-1)
+        elif self._prices is not None:
+            choose_rows(rows, menu, self.menus.flat, self.menus.shape(world.tables), self._prices, choices)
+        elif rows.size:
+            choices[rows] = self._ask(rows)
+        walk = np.minimum(choices[rows], len(self.menus.level) - 1)
+        plans[rows] = menu.action[rows, walk]
+        lengths[rows] = np.where(choices[rows] == len(self.menus.level), 0, menu.steps[rows, walk])
+
+    def _ask(self, rows: np.ndarray) -> np.ndarray:
+        """What the actor chooses for the environments ``rows``."""
+        flat, mask = torch.from_numpy(self.menus.flat[rows]), torch.from_numpy(self.menus.menu.mask[rows])
+        scores = scorer(self._actor)
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            if scores is not None and scores.in_keys == ["observation"]:
+                return scores.module(flat).masked_fill(~mask, -torch.inf).argmax(-1).numpy()
+            seen = TensorDict({"observation": flat, "action_mask": mask}, batch_size=[rows.size])
+            return self._actor(seen)["action"].numpy()
+
+
+def compiled_prices(actor: Any) -> Prices | None:
+    """The network of ``actor`` as compiled code takes it, None where it is of a kind that torch has to run."""
+    scores = scorer(actor) if isinstance(actor, QValueActor) else None
+    network: nn.Module | None = None if scores is None else scores.module
+    if not isinstance(network, MenuNetwork) or network.outputs != 1:
+        return None
+    try:
+        price = compiled_perceptron(network.price)
+    except ScenarioError:
+        return None
+    shape: MenuShape = network.shape
+    x = np.zeros(shape.state + shape.row, np.float32)
+    return Prices(price, x, network.form == "price", network.w_acc, network.w_cost)

@@ -1,0 +1,340 @@
+"""``PlanEnv``: menus by hand, TorchRL's contract, exact resumes, and the same walks as the planners'."""
+
+import copy
+import random
+
+import numpy as np
+import pytest
+import torch
+import toy
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference import ReferenceSimulator
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torchrl.collectors import Collector
+from torchrl.envs.utils import check_env_specs
+
+from nfv_torchrl.errors import CheckpointError, ScenarioError
+from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.gym import NFVGymEnv
+from nfv_torchrl.gym.plans import PlanGymEnv, PlanVectorEnv
+from nfv_torchrl.losses import greedy_actor
+from nfv_torchrl.methods import PlannerMethod
+from nfv_torchrl.networks import MenuNetwork, MLPNetwork
+from nfv_torchrl.observations.menu import ROW, STATE, MenuShape
+from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
+from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
+from nfv_torchrl.rewards import admission_regret
+from nfv_torchrl.simulator import Reason, Simulator
+from nfv_torchrl.testing import check_planner
+from nfv_torchrl.testing.worlds import full_scenario
+
+pytestmark = pytest.mark.filterwarnings("ignore:The env passed to Collector:FutureWarning")
+
+LOADED = {"horizon": 20, "arrival_rate": 4.0, "mean_lifetime": 30.0}
+
+
+def worlds(**changes):
+    """Three networks of different sizes, with colocation on and off, that fill up."""
+    return [
+        full_scenario(colocation=colocation, seed=seed, substrate={"nodes": nodes}, **LOADED, **changes)
+        for seed, (nodes, colocation) in enumerate([(5, False), (6, True), (4, False)])
+    ]
+
+
+def masked_random(seed: int = 0) -> TensorDictModule:
+    generator = torch.Generator().manual_seed(seed)
+
+    def act(mask: torch.Tensor) -> torch.Tensor:
+        return torch.multinomial(mask.float(), 1, generator=generator).squeeze(-1)
+
+    return TensorDictModule(act, in_keys=["action_mask"], out_keys=["action"])
+
+
+def rollout(env: PlanEnv, steps: int, seed: int = 0) -> TensorDict:
+    return env.rollout(steps, masked_random(seed), break_when_any_done=False)
+
+
+def assert_same(one: TensorDict, other: TensorDict) -> None:
+    for key in one.keys(True, True):
+        assert torch.equal(one[key].nan_to_num(-1.0), other[key].nan_to_num(-1.0)), key
+
+
+# ------------------------------------------------------------------------------------------------------- menus
+
+
+def toy_env(**options) -> PlanEnv:
+    """Two duos that come one after the other, on the network that fits on paper."""
+    env = PlanEnv(toy.toy_scenario(), 1, menus=Menus([0.0, 10.0]), **options)
+    env.reset()
+    env.simulator.start(0, toy.workload_of(*[(0, toy.DUO, 0, 3, 5.0)] * 4))
+    env._stale[:] = True
+    return env
+
+
+def test_a_menu_by_hand():
+    """Mean unit cost of the six VMs: 16 / 6 = 2.67 $, so the second level charges a full resource 26.7 $ more."""
+    env = toy_env()
+    cost, _, actions = toy.DUO_0_TO_3
+    seen = env._observe()
+    menu = env.menus.menu
+    assert menu.cost[0, 0] == cost and menu.action[0, 0, : menu.steps[0, 0]].tolist() == actions
+    # On an empty network prices are unit costs: both levels have the same walk, offered once.
+    assert seen["action_mask"].tolist() == [[True, False, True]]
+    # It is played whole, and pays in full: nothing is cheaper.
+    after = env.step(TensorDict({"action": torch.tensor([0])}, [1]))["next"]
+    assert after["reward"].item() == 1.0 and after["request_done"].item() and after["outcome", "accepted"].item()
+    assert after["outcome", "request_cost"].item() == cost == after["outcome", "step_cost"].item()
+    # VM 1.0 is a quarter full, 2.0 two fifths and the links at a tenth or less. M^u is 3000^(1/4) = 7.4 and
+    # 3000^(2/5) = 24.6, so with M = 3000 the second level adds 26.7 * 6.4 / 2999 = 0.06 $ and 0.21 $: too little.
+    assert after["action_mask"].tolist() == [[True, False, True]]
+    env.step(TensorDict({"action": torch.tensor([0])}, [1]))
+    # Now 1.0 is half full (+ 0.48 $) and 2.0 four fifths (+ 5.4 $): B no longer fits on 2.0. The cheapest walk
+    # bounces between 1 and 2, for 77 $.
+    assert menu.cost[0, 0] == toy.DUO_0_TO_3_THIRD[0]
+    assert menu.action[0, 0, : menu.steps[0, 0]].tolist() == toy.DUO_0_TO_3_THIRD[2]
+
+
+def test_what_is_seen_by_hand():
+    env = toy_env()
+    shape = MenuShape.of(2, 2)
+    flat = env._observe()["observation"][0]
+    state, row = flat[: shape.state], flat[shape.state : shape.state + shape.row]
+    assert flat.shape == (shape.size,) and not flat[shape.state + shape.row :].any()  # the second walk is the first
+    # Chains load 30 and 20 Mcycles/s: 25 on average.
+    assert state[STATE.demand] == pytest.approx(30 / 25) and state[STATE.stay] == 1.0 and state[STATE.sees] == 0.0
+    assert state[STATE.near] == pytest.approx(295 / 1050)
+    assert state[STATE.vm_used] == 0.0 and state[STATE.offered_walks] == 0.5
+    # 15 Mbit/s leave node 0; the mean rate is 1.5 Mbit/s.
+    assert state[STATE.ingress_room] == pytest.approx(np.log(1 + 15 / 1.5) / 8)
+    assert (
+        row[ROW.regret] == 0.0 and row[ROW.delay] == pytest.approx(945 / 1050) and row[ROW.hops] == pytest.approx(0.3)
+    )
+    # A on 1.0 leaves 30 of 40 Mcycles/s, B on 2.0 leaves 30 of 50.
+    assert row[ROW.vm_room] == pytest.approx(np.log(1 + 30 / 25) / 8) == pytest.approx(row[ROW.vm_room_least])
+    env.step(TensorDict({"action": torch.tensor([0])}, [1]))
+    after = env._observe()["observation"][0]
+    row = after[shape.state : shape.state + shape.row]
+    assert after[STATE.vm_used] == pytest.approx(30 / 330)
+    # A third of the load on a VM that is a quarter full, the rest on one that is two fifths full.
+    assert row[ROW.vm_used] == pytest.approx(0.25 / 3 + 0.4 * 2 / 3)
+
+
+@given(st.integers(0, 10_000), st.booleans())
+@settings(max_examples=12)
+def test_every_level_has_the_walk_of_the_rule_at_that_price(seed, colocation):
+    """The levels that were not searched, too."""
+    scenario = full_scenario(colocation=colocation, seed=seed % 7, admission_control=True)
+    env = PlanEnv(scenario, 2, stagger=True, seed=seed)
+    env.reset()
+    world = env.simulator.world
+    mean = world.tables.vm_unit_cost[0].sum() / world.tables.vm_count[0].sum()
+    plans, lengths = np.zeros((2, world.rules.max_steps), np.int64), np.zeros(2, np.int64)
+    menu = env.menus.menu
+    for k, p in enumerate(env.menus.level):
+        rule = PricedPlanner(price=p * mean, steepness=env.menus.steepness)
+        rule.plan_rows(world, np.arange(2), plans, lengths)
+        for b in range(2):
+            offered = [j for j in range(k + 1) if menu.mask[b, j]]
+            assert (lengths[b] > 0) == bool(offered)
+            if offered and menu.mask[b, k]:
+                assert menu.action[b, k, : menu.steps[b, k]].tolist() == plans[b, : lengths[b]].tolist()
+            elif offered:
+                here = [menu.action[b, j, : menu.steps[b, j]].tolist() for j in offered]
+                assert plans[b, : lengths[b]].tolist() in here
+
+
+# ------------------------------------------------------------------------------------------------- environment
+
+
+@pytest.mark.parametrize("batch_size", [1, 7])
+@pytest.mark.parametrize("options", [{}, {"stagger": True, "segment": 4}])
+def test_specs(options, batch_size):
+    failing = {"failures": {"p_fail_vm": 0.02, "p_fail_link": 0.02, "p_repair": 0.2}, "observe_lifetime": True}
+    env = PlanEnv(worlds(**failing), batch_size, **options)
+    check_env_specs(env)
+    data = rollout(env, 120)
+    after = data["next"]
+    assert after["done"].any() and (after["request_done"] | after["done"]).all()
+    assert after["observation"].isfinite().all() and after["reward"].isfinite().all()
+    assert env.observation_spec.contains(env.reset().select(*env.observation_spec.keys(True, True)))
+    reasons = set(after["outcome", "reason"][after["request_done"]].tolist())
+    assert reasons <= {-1, Reason.REJECTED_BY_POLICY} and len(reasons) == 2
+    assert (env._least_cost[~np.isnan(env._least_cost)] > 0).all()
+
+
+def test_a_walk_that_is_not_offered_answers_with_invalid_action():
+    env = PlanEnv(worlds(), 3)
+    for action in (1, -1, 6, 99):  # on an empty network all levels have one walk
+        env.reset()
+        after = env.step(TensorDict({"action": torch.full((3,), action)}, [3]))["next"]
+        assert (after["outcome", "reason"] == Reason.INVALID_ACTION).all() and not after["reward"].any()
+
+
+def test_the_reward_is_that_of_the_known_part():
+    scenario = worlds()[1]
+    env = PlanEnv(scenario, 6, stagger=True, reward=lambda outcome, scale: admission_regret(outcome, scale, w_cost=0.5))
+    data = rollout(env, 60)
+    shape = MenuShape.of(2, 5)
+    rows = data["observation"][..., shape.state :].unflatten(-1, (shape.rows, shape.row))
+    action = data["action"].clamp(max=4)[..., None, None].expand(*data.shape, 1, shape.row)
+    regret = rows.gather(-2, action).squeeze(-2)[..., ROW.regret]
+    accepted = data["next", "outcome", "accepted"].squeeze(-1)
+    known = torch.where(accepted, 1 - 0.5 * regret, 0.0)
+    assert torch.allclose(data["next", "reward"].squeeze(-1), known, atol=1e-5) and regret.max() > 0
+    with pytest.raises(ScenarioError, match="env=plans"):
+        gym = NFVGymEnv(scenario, reward=admission_regret)
+        gym.reset()
+        gym.step(np.int64(0))
+
+
+def test_level_zero_is_myopic_optimal_and_the_audit_agrees():
+    """Requests, answers and costs of the cheapest walks are those of the planner, whose runs are audited."""
+    for scenario in worlds()[:2]:
+        env = PlanEnv(scenario, 1)
+        cheapest = TensorDictModule(lambda mask: mask.int().argmax(-1), in_keys=["action_mask"], out_keys=["action"])
+        data = env.rollout(1000, cheapest)[0]["next"]
+        (record,) = run_method(
+            scenario,
+            PlannerMethod(MyopicPlanner(), name="myopic"),
+            [0],
+            workloads=[scenario.workload(0, 0, 0)],
+        )
+        ended = data["request_done"].flatten()
+        assert data["outcome", "accepted"].flatten()[ended].tolist() == record.accepted.tolist()
+        costs = data["outcome", "request_cost"].flatten()[ended].numpy()[record.accepted]
+        np.testing.assert_allclose(costs, record.cost[record.accepted], rtol=1e-6)
+        assert 0 < record.accepted.mean() < 1
+    check_planner(MenuPlanner())  # walks any plan of it, and audits a horizon
+
+
+def test_the_reference_agrees_with_random_choices():
+    for b, scenario in enumerate(worlds()[:2]):
+        env = PlanEnv(scenario, 1, seed=b)
+        env.reset()
+        scenario = scenario.replace(admission_control=True)
+        reference = ReferenceSimulator(scenario, scenario.workload(b, 0, 0))
+        rng, menu = random.Random(b), env.menus.menu
+        while not reference.done:
+            mask = env._observe()["action_mask"][0].tolist()
+            k = rng.choice([k for k, offered in enumerate(mask) if offered])
+            walk = [env.simulator.num_actions - 1] if k == 5 else menu.action[0, k, : menu.steps[0, k]].tolist()
+            for action in walk:
+                brought = reference.step(action)
+            after = env.step(TensorDict({"action": torch.tensor([k])}, [1]))["next"]
+            assert brought["accepted"] == after["outcome", "accepted"].item() == (k < 5)
+            assert brought["request_cost"] == pytest.approx(after["outcome", "request_cost"].item(), rel=1e-6)
+        assert after["done"].item()
+
+
+def test_a_saved_state_goes_on_to_the_bit():
+    env = PlanEnv(worlds(), 4, seed=2, stagger=True, segment=5)
+    rollout(env, 37)
+    state = copy.deepcopy(env.state_dict())
+    resumed = PlanEnv(worlds(), 4, stagger=True, segment=5)
+    resumed.load_state_dict(state)
+    first = rollout(resumed, 60, seed=4)
+    env.load_state_dict(state)
+    assert_same(rollout(env, 60, seed=4), first)
+    with pytest.raises(CheckpointError):
+        env.load_state_dict({**state, "episode": state["episode"][:2]})
+    assert_same(rollout(env, 5, seed=1), rollout(resumed, 5, seed=1))  # as they were
+
+
+def test_a_collector_and_a_seed():
+    batches = []
+    for _ in range(2):
+        env = PlanEnv(worlds(), 3, seed=5, stagger=True)
+        collector = Collector(env, masked_random(1), frames_per_batch=60, total_frames=120)
+        batches.append(torch.cat([batch.clone() for batch in collector], 1))
+        collector.shutdown()
+    assert_same(batches[0].exclude("collector"), batches[1].exclude("collector"))
+    assert batches[0]["next", "done"].any()
+
+
+def test_levels_are_checked():
+    for levels in ([], [1.0, 2.0], [0.0, 2.0, 2.0], [0.0, float("inf")]):
+        with pytest.raises(ScenarioError, match="levels"):
+            Menus(levels)
+
+
+# ----------------------------------------------------------------------------------------------------- policies
+
+
+def trained(network, scenario, scale=2.0):
+    """An actor with weights that are not zero."""
+    torch.manual_seed(0)
+    planner = MenuPlanner()
+    sizes = planner.sizes(Simulator(scenario, 1))
+    made = network(sizes)
+    with torch.no_grad():
+        for weights in made.parameters():
+            weights.add_(scale * torch.randn_like(weights) / max(weights.shape[-1], 1) ** 0.5)
+    return planner.follow(greedy_actor(made, sizes.actions))
+
+
+@pytest.mark.parametrize("form", ["price", "free"])
+def test_the_compiled_policy_chooses_as_torch_does(form):
+    scenario = worlds()[1]
+    planner = trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8], form=form), scenario)
+    assert planner._prices is not None
+    compiled, slow = PlannerMethod(planner, name="compiled"), copy.copy(planner)
+    slow._prices = None
+    records = [run_method(scenario, method, [0, 1]) for method in (compiled, PlannerMethod(slow, name="slow"))]
+    for one, other in zip(*records, strict=True):
+        assert (one.accepted == other.accepted).all() and (one.step_node == other.step_node).all()
+        refused = one.reason == Reason.REJECTED_BY_POLICY
+        assert 0 < one.accepted.mean() < 1 and refused.any()
+    check_planner(planner)
+
+
+def test_any_network_plays_and_an_untrained_one_takes_the_cheapest_walk():
+    scenario = worlds()[0]
+    check_planner(trained(lambda sizes: MLPNetwork(sizes, hidden=[8]), scenario), scenario=scenario)
+    planner = MenuPlanner()
+    sizes = planner.sizes(Simulator(scenario, 1))
+    planner.follow(greedy_actor(MenuNetwork(sizes), sizes.actions))
+    mine, best = (
+        run_method(scenario, PlannerMethod(method, name="x"), [3])[0] for method in (planner, MyopicPlanner())
+    )
+    np.testing.assert_array_equal(mine.cost, best.cost)
+
+
+def test_values_by_hand():
+    """Q of a walk: what it pays, and V, less demand times stay times price; of reject: V."""
+    sizes = MenuPlanner([0.0, 1.0]).sizes(Simulator(worlds()[0], 1))
+    network = MenuNetwork(sizes, hidden=[4], w_cost=0.5)
+    with torch.no_grad():
+        network.value[-1].bias.fill_(3.0)
+        network.price[-1].bias.fill_(0.25)
+    shape = network.shape
+    seen = torch.zeros(shape.size)
+    seen[STATE.demand], seen[STATE.stay] = 2.0, 0.5
+    seen[shape.state + shape.row + ROW.regret] = 0.2
+    assert network(seen).tolist() == pytest.approx([1 + 3 - 0.25, 1 - 0.5 * 0.2 + 3 - 0.25, 3])
+    free = MenuNetwork(sizes, hidden=[4], form="free", outputs=3)
+    with torch.no_grad():
+        free.price[-1].bias.copy_(torch.tensor([0.0, 1.0, 2.0]))
+    assert free(seen.expand(7, -1))[0, 0].tolist() == [1, 0, -1]
+
+
+def test_gymnasium_accepts_it_and_it_is_environment_0():
+    scenario = worlds()[1].replace(horizon=5)
+    check_env(PlanGymEnv(scenario), skip_render_check=True)
+    gym, env, both = PlanGymEnv(scenario, seed=3), PlanEnv(scenario, 1, seed=3), PlanVectorEnv(2, scenario, seed=3)
+    seen, info = gym.reset()
+    both.reset()
+    td, done, rng = env.reset(), False, random.Random(0)
+    while not done:
+        np.testing.assert_array_equal(td["observation"][0].numpy(), seen)
+        np.testing.assert_array_equal(gym.action_masks(), td["action_mask"][0].numpy())
+        k = rng.choice(np.flatnonzero(gym.action_masks()).tolist())
+        seen, reward, done, _, info = gym.step(np.int64(k))
+        together = both.step(np.array([k, 5]))
+        last = together[4]["final_obs"] if done else together[0]
+        np.testing.assert_array_equal(last[0], seen)
+        td = env.step(td.set("action", torch.tensor([k])))["next"]
+        assert reward == pytest.approx(td["reward"].item()) and info["accepted"] == td["outcome", "accepted"].item()
+        td = td.exclude("reward")
