@@ -19,8 +19,8 @@ WITHOUT_TOTAL = "{desc}{n_fmt} {unit}s, {elapsed} gone, {pace}{postfix}"
 class ProgressBar(tqdm):
     """A ``tqdm`` whose time left is not thrown off by pauses, and that writes whole lines where there is no terminal.
 
-    On a terminal it redraws one line. Elsewhere it writes a line every ten seconds, the first after ten seconds, so that
-    short work leaves none. Evaluations of a training belong into ``pause``: they count neither for the pace
+    On a terminal it redraws one line. Elsewhere it writes a line every ten seconds. The first comes after ten seconds,
+    so that short work leaves none. Evaluations of a training belong into ``pause``: they count neither for the pace
     nor for the time that the rest takes, but those still to come are added to the time left.
 
     Args:
@@ -91,10 +91,12 @@ class ProgressBar(tqdm):
             self._first = (self._work_seconds(), self.n + n)
         return super().update(n)
 
-    def reach(self, done: int, words: str | None = None) -> None:
-        """``done`` are done in all; ``words`` stay at the end of the line until there are others."""
-        if words is not None:
-            self.set_postfix_str(words, refresh=False)
+    def say(self, words: str) -> None:
+        """``words`` stand at the end of the line until there are others."""
+        self.set_postfix_str(words, refresh=False)
+
+    def reach(self, done: int) -> None:
+        """``done`` are done in all."""
         self.update(done - self.n)
 
     @contextlib.contextmanager
@@ -131,7 +133,8 @@ class ProgressBar(tqdm):
         left, pace = self._seconds_left(), self._pace()
         done = bool(self.total) and self.n >= self.total
         # Slow work is told by the unit: 0.02 cells/s says nothing to anyone.
-        told = f"{self.format_sizeof(pace)} {self.unit}s/s" if pace >= 1 else f"{1 / pace if pace else 0:.1f} s/{self.unit}"
+        slow = 0 < pace < 1
+        told = f"{1 / pace:.1f} s/{self.unit}" if slow else f"{self.format_sizeof(pace)} {self.unit}s/s"
         return {
             **super().format_dict,
             "eta": "nothing" if done else "?" if left is None else self.format_interval(left),

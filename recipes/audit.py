@@ -13,10 +13,9 @@ from __future__ import annotations
 import argparse
 import sys
 
-from tqdm import tqdm
-
 from nfv_torchrl.evaluation.audit import audit_folders
 from nfv_torchrl.evaluation.bounds import recompute_bound
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.training.cli import clear_errors
 
 NOT_RECOMPUTED = "Not recomputed: decision_seconds (wall time), only that decisions_per_second and the tables fit it."
@@ -31,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     reports = audit_folders(
         given.folders,
-        progress=lambda runs: tqdm(runs, unit="run", desc="audit", disable=None),
+        progress=lambda runs: ProgressBar(runs, unit="run", desc="audit"),
         recompute_bound=None if given.no_bounds else recompute_bound,
     )
     for report in reports:

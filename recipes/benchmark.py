@@ -29,7 +29,6 @@ import torchrl
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tqdm import tqdm
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.tables import Table
@@ -38,6 +37,7 @@ from nfv_torchrl.experiments.loaded import make_scenario
 from nfv_torchrl.experiments.speed import COLLECTED, Row, run_collector, run_env, run_kernel, run_memory, run_methods
 from nfv_torchrl.files import read_json, write_atomically
 from nfv_torchrl.folders import claim_file
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.settings.recipes import BenchmarkSettings, read_settings
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.setup import quote, run_file, set_threads
@@ -56,7 +56,7 @@ def main(cfg: DictConfig) -> None:
     results: dict[str, list[Row]] = {}
     for part in config["parts"]:
         title, run = PARTS[part]
-        results[part] = list(tqdm(run(config), desc=part, unit="row", disable=None))
+        results[part] = list(ProgressBar(run(config), desc=part, unit="row"))
         print(f"\n{as_table(title, results[part]).text()}")
         if output is not None:  # part by part: an interrupted benchmark has not been for nothing
             text = json.dumps({"machine": machine, "config": config, "results": results}, indent=1)

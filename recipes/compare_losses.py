@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import csv_text
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
-from nfv_torchrl.experiments.computing import compute
+from nfv_torchrl.experiments.computing import compute_shown
 from nfv_torchrl.experiments.losses import FLOOR, draw_curves, loss_table, table_rows
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> None:
     }
     cells = [*floor.values(), *(cell for runs in tested.values() for cell in runs)]
     claim("output", store.folder, "cells")
-    failures = compute(cells, store, workers=instantiate(cfg.parallel), report=print_progress)
+    failures = compute_shown(cells, store, instantiate(cfg.parallel))
 
     tested = {name: runs for name, runs in tested.items() if all(store.has(cell) for cell in runs)}
     rows = table_rows(tested, floor["workloads"], store, config["reference"])
@@ -106,11 +106,6 @@ def evaluation_cell(config: Mapping[str, Any], name: str, seeds: Sequence[int], 
         training = run.spec
     spec = {"scenario": config["scenario"], "method": method, "training": training, "seeds": list(seeds)}
     return make_cell("evaluation", f"test-{run.label if run else name}", spec, [run] if run else [])
-
-
-def print_progress(cell: Cell, at_work: list[Cell]) -> None:
-    """One line for each cell that has ended."""
-    print(f"{cell.label} ended; at work: {', '.join(other.label for other in at_work) or 'nothing'}", flush=True)
 
 
 if __name__ == "__main__":

@@ -23,10 +23,10 @@ from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
 from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule
-from tqdm import tqdm
 
 from nfv_torchrl.losses import q_network
 from nfv_torchrl.methods import load_weights
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import DqnSettings, read_settings
 from nfv_torchrl.training.cli import recipe
@@ -131,7 +131,8 @@ def main(cfg: DictConfig) -> None:
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
-    bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)
+    evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
+    bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations)
     batches = iter(collector)
     folder.load_random_numbers(state)  # making the parts above drew some
     learning = TensorDict()  # what the last update said
@@ -159,12 +160,13 @@ def main(cfg: DictConfig) -> None:
 
             if progress.iteration % cfg.logger.interval == 0:
                 line = logger.iteration(progress, window, data, learning, epsilon=float(explore.eps))
-                bar.set_postfix_str(line)
+                bar.say(line)
             if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
-                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
+                with bar.pause():
+                    evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
             if progress.iteration % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
-            bar.update(progress.frames - bar.n)
+            bar.reach(progress.frames)
 
     bar.close()
     if cfg.eval.interval and not stop.asked and progress.iteration % cfg.eval.interval:

@@ -22,7 +22,6 @@ from typing import Any, cast
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from tqdm import tqdm
 
 from nfv_torchrl.errors import AuditError, ScenarioError
 from nfv_torchrl.evaluation.audit import audit_folders, find_runs
@@ -34,6 +33,7 @@ from nfv_torchrl.evaluation.tables import render, write_summary
 from nfv_torchrl.folders import claim
 from nfv_torchrl.methods import Method, methods_from_config
 from nfv_torchrl.parallel import Workers
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvaluateSettings, read_settings
 from nfv_torchrl.settings.values import list_of_seeds
@@ -137,13 +137,13 @@ def run_all(
             for (key, entry), method in zip(entries.items(), methods, strict=True)
             for piece in pieces({key: entry}, method, scenarios, seeds)
         ]
-        for records in tqdm(workers.map(run_piece, work), total=len(work), unit="run", disable=None):
+        for records in ProgressBar(workers.map(run_piece, work), total=len(work), unit="run"):
             yield from records
         return
     worlds = list(scenarios) * len(seeds) if len(scenarios) == 1 else scenarios
     requests = sum(len(world.workload(seed)) for world, seed in zip(worlds, seeds, strict=True))
     for method in methods:
-        with tqdm(total=requests, desc=method.name, unit="request", disable=None) as bar:
+        with ProgressBar(total=requests, desc=method.name, unit="request") as bar:
             records = run_method(scenarios, method, seeds, progress=bar.update)
         yield from records
 
@@ -151,7 +151,7 @@ def run_all(
 def add_bounds(comparison: Comparison, worlds: Sequence[Scenario], seeds: Sequence[int], workers: Workers) -> None:
     """Upper bounds on AAR; ``worlds``: the scenario of each of the ``seeds``."""
     runs = list(zip(worlds, seeds, strict=True))
-    found = tqdm(workers.map(bounds_of, runs), total=len(runs), desc="bounds", unit="seed", disable=None)
+    found = ProgressBar(workers.map(bounds_of, runs), total=len(runs), desc="bounds", unit="seed")
     for seed, bounds in zip(seeds, found, strict=True):
         for name, aar in bounds.items():
             comparison.add_bound(name, seed, aar)
@@ -159,7 +159,7 @@ def add_bounds(comparison: Comparison, worlds: Sequence[Scenario], seeds: Sequen
 
 def audit(folder: Path) -> None:
     """Recompute everything from the files in ``folder`` but bounds, which have been solved a moment ago."""
-    reports = audit_folders([folder], progress=lambda runs: tqdm(runs, desc="audit", unit="run", disable=None))
+    reports = audit_folders([folder], progress=lambda runs: ProgressBar(runs, desc="audit", unit="run"))
     found = [f"{report.folder}: {problem}" for report in reports for problem in report.problems]
     if found:
         raise AuditError("\n  ".join(["the audit found", *found]))

@@ -18,7 +18,6 @@ from statistics import fmean
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import GlobalRNGState
-from tqdm import tqdm
 
 from nfv_torchrl.evaluation.network_figure import draw_utilisation
 from nfv_torchrl.evaluation.records import RunRecord
@@ -28,6 +27,7 @@ from nfv_torchrl.evolution.fitness import Arena, summary
 from nfv_torchrl.methods import load_weights, policy_content
 from nfv_torchrl.methods.evolved import Evolvable
 from nfv_torchrl.networks import Sizes
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvolutionSettings, read_settings
 from nfv_torchrl.simulator import Simulator
@@ -66,7 +66,8 @@ def main(cfg: DictConfig) -> None:
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/fitness", "eval/aar_gain", "eval/paired_cost"))
-    bar = tqdm(total=cfg.generations, initial=strategy.generation, unit="generation", disable=None)
+    evaluations = cfg.generations // cfg.eval.interval if cfg.eval.interval else 0
+    bar = ProgressBar(total=cfg.generations, initial=strategy.generation, unit="generation", pauses=evaluations)
 
     def evaluate() -> None:
         """The centre of the search on held-out horizons; keep it if it is the fittest so far."""
@@ -98,10 +99,11 @@ def main(cfg: DictConfig) -> None:
             metrics |= {"train/fitness_best": max(fitness), "train/sigma": strategy.sigma}
             metrics["speed/requests_per_second"] = played / (time.perf_counter() - started)
             logger.scalars(metrics, progress.frames)
-            bar.set_postfix_str(f"fitness {metrics['train/fitness']:+.3f}, best {max(fitness):+.3f}")
+            bar.say(f"fitness {metrics['train/fitness']:+.3f}, best {max(fitness):+.3f}")
             bar.update()
             if cfg.eval.interval and strategy.generation % cfg.eval.interval == 0:
-                evaluate()
+                with bar.pause():
+                    evaluate()
             if strategy.generation % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
 

@@ -19,15 +19,15 @@ from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from tqdm import tqdm
 
 from nfv_torchrl.experiments.catalogue import chosen
-from nfv_torchrl.experiments.cells import Cell, CellStore, with_needs
-from nfv_torchrl.experiments.computing import compute
+from nfv_torchrl.experiments.cells import CellStore, with_needs
+from nfv_torchrl.experiments.computing import compute_shown
 from nfv_torchrl.experiments.drawing import Experiment
 from nfv_torchrl.experiments.study import Study
 from nfv_torchrl.folders import claim
 from nfv_torchrl.parallel import Workers
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.settings.recipes import FiguresSettings, read_settings
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.logger import RunLogger
@@ -57,19 +57,13 @@ def compute_all(figures: Mapping[str, Experiment], study: Study, store: CellStor
     print(f"{len(cells)} cells, {len(cells) - len(lacking)} of them there already, {training} training runs to do.")
     if not lacking:
         return {}
-    with tqdm(total=len(cells), initial=len(cells) - len(lacking), unit="cell", disable=None) as bar:
-
-        def report(cell: Cell, atwork: list[Cell]) -> None:
-            bar.update()
-            bar.set_postfix_str(", ".join(other.label for other in atwork))
-
-        return compute(cells, store, workers=workers, report=report)
+    return compute_shown(cells, store, workers)
 
 
 def draw_all(figures: Mapping[str, Experiment], study: Study, store: CellStore, failures: Mapping[str, str]) -> None:
     """Draw every figure whose cells are there, into files and for TensorBoard."""
     logger = RunLogger(store.folder)
-    for name, figure in tqdm(figures.items(), desc="figures", disable=None):
+    for name, figure in ProgressBar(figures.items(), desc="drawing", unit="figure"):
         if any(cell.key in failures for cell in figure.cells(study)):
             print(f"{name}: not drawn, some of its cells failed")
             continue

@@ -14,10 +14,10 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from tqdm import tqdm
 
 from nfv_torchrl.evaluation.statistics import Interval, mean_interval
 from nfv_torchrl.planners.milp import Request, embed_slot
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.settings.recipes import MilpGapSettings, read_settings
 from nfv_torchrl.simulator import Simulator
@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
     rows = [(full, colocation) for full in FULL_SHARES for colocation in (False, True)]
     results = [
         np.array([compare(seed, *row, options.requests) for seed in range(options.seeds)])
-        for row in tqdm(rows, unit="row", disable=None)
+        for row in ProgressBar(rows, unit="row")
     ]
     print(f"seeds 0 .. {options.seeds - 1}, {options.requests} requests each, 4 to 8 nodes")
     print("| VMs, links full | colocation | only the problem, % | problem cheaper, % | walk costs more, % |")

@@ -19,7 +19,6 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
-from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
@@ -27,6 +26,7 @@ from nfv_torchrl.evaluation.runner import scenario_for
 from nfv_torchrl.losses import has_target, q_network
 from nfv_torchrl.methods import methods_from_config
 from nfv_torchrl.networks import Sizes
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import OfflineSettings, read_settings
 from nfv_torchrl.simulator import Simulator
@@ -116,7 +116,7 @@ def main(cfg: DictConfig) -> None:
     folder.open()  # an older run there is set aside
     dataset = given or Dataset(folder.path / "dataset", **recording)
     if not dataset.complete:
-        with tqdm(total=cfg.record.frames, desc=f"record {method.name}", unit="frame", unit_scale=True) as bar:
+        with ProgressBar(total=cfg.record.frames, desc=f"record {method.name}", unit="frame") as bar:
             dataset.record(method, bar.update)
 
     # Everything that was recorded, in memory, as the loss wants it.
@@ -134,7 +134,8 @@ def main(cfg: DictConfig) -> None:
 
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted"))
-    bar = tqdm(total=cfg.learner.updates, initial=progress.updates, unit="update", unit_scale=True)
+    evaluations = cfg.learner.updates // cfg.eval.interval if cfg.eval.interval else 0
+    bar = ProgressBar(total=cfg.learner.updates, initial=progress.updates, unit="update", pauses=evaluations)
     folder.load_random_numbers(state)  # making the parts above drew some
 
     with StopRequest() as stop:
@@ -152,12 +153,13 @@ def main(cfg: DictConfig) -> None:
                 check_learning(learning, progress)
                 metrics = {f"train/{key}": float(value) for key, value in learning.items()} | progress.speeds()
                 logger.scalars(metrics, progress.frames)
-                bar.set_postfix_str(f"loss {metrics['train/loss']:.4f}  best AAR {max(progress.best_aar, 0):.3f}")
+                bar.say(f"loss {metrics['train/loss']:.4f}  best AAR {max(progress.best_aar, 0):.3f}")
             if cfg.eval.interval and progress.updates % cfg.eval.interval == 0:
-                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+                with bar.pause():
+                    evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
             if progress.updates % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
-            bar.update(1)
+            bar.update()
 
     bar.close()
     if cfg.eval.interval and not stop.asked and progress.updates % cfg.eval.interval:

@@ -19,8 +19,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
-from tqdm import tqdm
 
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import PolicyGradientSettings, read_settings
 from nfv_torchrl.training.cli import recipe
@@ -94,7 +94,8 @@ def main(cfg: DictConfig) -> None:
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
-    bar = tqdm(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", unit_scale=True)
+    evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
+    bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations)
     batches = iter(collector)
     folder.load_random_numbers(state)  # making the parts above drew some
 
@@ -116,12 +117,13 @@ def main(cfg: DictConfig) -> None:
             check_learning(learning, progress)
 
             if progress.iteration % cfg.logger.interval == 0:
-                bar.set_postfix_str(logger.iteration(progress, window, data, learning))
+                bar.say(logger.iteration(progress, window, data, learning))
             if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
-                evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
+                with bar.pause():
+                    evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
             if progress.iteration % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
-            bar.update(progress.frames - bar.n)
+            bar.reach(progress.frames)
 
     bar.close()
     if cfg.eval.interval and not stop.asked and progress.iteration % cfg.eval.interval:

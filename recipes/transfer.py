@@ -28,7 +28,7 @@ from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
 from nfv_torchrl.evaluation.statistics import mean_interval, paired_difference
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
-from nfv_torchrl.experiments.computing import compute
+from nfv_torchrl.experiments.computing import compute_shown
 from nfv_torchrl.experiments.rows import paired_cost, values
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> None:
     bounds = {name: bound(config, name, world) for name, world in worlds.items() if config["bounds"]}
     wanted = [*(cell for found in cells.values() for cell in found.values()), *bounds.values()]
     claim("output", store.folder, "cells")
-    failures = compute(wanted, store, workers=instantiate(cfg.parallel), report=print_progress)
+    failures = compute_shown(wanted, store, instantiate(cfg.parallel))
 
     there = [name for name, found in cells.items() if all(map(store.has, found.values()))]
     rows = [row for name in there for row in network_rows(name, worlds[name], cells[name], bounds.get(name), store)]
@@ -120,11 +120,6 @@ def seeds_of(config: Mapping[str, Any]) -> dict[str, list[int]]:
     """The seeds of every cell; with ``draws`` each workload seed meets the network of a scenario seed of its own."""
     seeds = list(range(config["seeds"]))
     return {"seeds": seeds, "scenario_seeds": seeds} if config["draws"] else {"seeds": seeds}
-
-
-def print_progress(cell: Cell, at_work: list[Cell]) -> None:
-    """One line for each cell that has ended."""
-    print(f"{cell.label} ended; at work: {', '.join(other.label for other in at_work) or 'nothing'}", flush=True)
 
 
 def network_rows(

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from tqdm import tqdm
 
 from nfv_torchrl.evaluation.figures import csv_text
 from nfv_torchrl.evaluation.metrics import compute_metrics
@@ -27,6 +26,7 @@ from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim_file
 from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import TunePricedSettings, read_settings
 from nfv_torchrl.training.cli import recipe
@@ -50,7 +50,7 @@ def main(cfg: DictConfig) -> None:
     settings: list[Setting] = list(itertools.product(config["prices"], config["steepness"], config["thresholds"]))
     work = [(setting, worlds, config["seeds"]) for setting in [None, *settings]]
     with instantiate(cfg.parallel) as workers:
-        answers = list(tqdm(workers.map(measure, work), total=len(work), unit="setting", disable=None))
+        answers = list(ProgressBar(workers.map(measure, work), total=len(work), unit="setting"))
     myopic, *priced = answers  # each [loads x colocation, networks, (AAR, cost)]
     rows = [row(setting, answer, myopic) for setting, answer in zip(settings, priced, strict=True)]
     rows.sort(key=lambda row: (-row["aar_gain"], row["cost_per_accepted"]))

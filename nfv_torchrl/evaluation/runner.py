@@ -22,7 +22,7 @@ MOST_TOGETHER = 64
 STEPS_PER_REPORT = 256
 
 Progress = Callable[[int], object]
-"""Told how many more requests have been answered (``tqdm.update``)."""
+"""Told how many more requests have been answered (``ProgressBar.update``)."""
 
 
 def scenario_for(scenario: Scenario, method: Method) -> Scenario:

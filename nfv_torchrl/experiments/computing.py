@@ -15,6 +15,7 @@ from nfv_torchrl.experiments.cells import Cell, CellStore, with_needs
 from nfv_torchrl.experiments.leash import Holder, Leash, on_leash
 from nfv_torchrl.experiments.work import work
 from nfv_torchrl.parallel import Joblib, WorkerKilled, Workers
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.training.setup import StopRequest
 
 Chain = tuple[Cell, ...]
@@ -68,6 +69,19 @@ def compute(
                 round_.run([(cell,)], Joblib(jobs=1))
         round_.stop.raise_if_asked()
     return round_.failures
+
+
+def compute_shown(cells: Iterable[Cell], store: CellStore, workers: Workers) -> dict[str, str]:
+    """``compute`` under a progress bar that names the cells at work."""
+    cells = with_needs(cells)
+    lacking = sum(not store.has(cell) for cell in cells)
+    with ProgressBar(total=len(cells), initial=len(cells) - lacking, unit="cell") as bar:
+
+        def report(cell: Cell, at_work: list[Cell]) -> None:
+            bar.say(f"at work: {', '.join(other.label for other in at_work)}" if at_work else "")
+            bar.update()
+
+        return compute(cells, store, workers=workers, report=report)
 
 
 def chained(cells: Iterable[Cell]) -> list[list[Chain]]:

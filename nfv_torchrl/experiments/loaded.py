@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.search.loading import Loader
 from nfv_torchrl.simulator import Simulator
@@ -87,7 +87,7 @@ def batches(config: dict[str, Any], multiple: int = 0) -> Iterator[tuple[int, in
             load_networks(few, config["loaded_slot"])
             gigabytes = few.memory_bytes() / few.batch_size * batch / 1e9
             if gigabytes > config["memory_limit"]:
-                tqdm.write(f"N = {nodes}, B = {batch} is left out: {gigabytes:.0f} GB, memory_limit is "
+                ProgressBar.write(f"N = {nodes}, B = {batch} is left out: {gigabytes:.0f} GB, memory_limit is "
                            f"{config['memory_limit']} GB")  # fmt: skip
                 continue
             yield nodes, batch, scenario, steps

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import functools
 import inspect
+import logging
 import os
 import re
 import signal
@@ -71,6 +72,7 @@ def recipe(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., 
         def entering(cfg: DictConfig) -> None:
             nonlocal entered
             entered = True
+            _quiet_torchrl()
             clear_errors(main)(cfg)
 
         @functools.wraps(main)
@@ -98,6 +100,12 @@ def recipe(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., 
         return run
 
     return decorate
+
+
+def _quiet_torchrl() -> None:
+    """TorchRL's notes would break the progress line. ``RL_LOGGING_LEVEL=INFO`` brings them back."""
+    level = os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read by processes started from here, too
+    logging.getLogger("torchrl").setLevel(level)
 
 
 def clear_errors(main: Callable[P, R]) -> Callable[P, R]:

@@ -101,7 +101,7 @@ def audit_folders(
 
     Args:
         roots: folders; one that holds no run is reported as a problem.
-        progress: wraps the list of run folders to show how far the audit is (``tqdm``).
+        progress: wraps the list of run folders to show how far the audit is (``ProgressBar``).
         recompute_bound: solves a bound again; without it bounds are only compared with the runs.
 
     Returns:
