@@ -30,14 +30,16 @@ TINY = [
 ]
 BUFFER = ["buffer.size=20", "buffer.batch_size=4", "buffer.warmup_frames=32", "learner.updates=2"]
 SHORT = ["scenario.horizon=20"]
-SHORT = "scenario.horizon=20"
 RUNS = {
     "ppo": ("policy_gradient", ["pg_loss=ppo", "learner.minibatch=12"]),
     "a2c": ("policy_gradient", ["pg_loss=a2c"]),
     "reinforce": ("policy_gradient", ["pg_loss=reinforce"]),
-    "ClipPPOLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.ClipPPOLoss", "+loss.clip_value=0.2", SHORT]),
-    "A2CLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.A2CLoss", SHORT]),
-    "ReinforceLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.ReinforceLoss", SHORT]),
+    "ClipPPOLoss": (
+        "policy_gradient",
+        ["loss._target_=torchrl.objectives.ClipPPOLoss", "+loss.clip_value=0.2", *SHORT],
+    ),
+    "A2CLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.A2CLoss", *SHORT]),
+    "ReinforceLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.ReinforceLoss", *SHORT]),
     "ppo on candidates": ("policy_gradient", ["network=candidate"]),
     "recurrent ppo": ("policy_gradient", ["pg_loss=recurrent_ppo", "network.hidden=8", "learner.minibatch=2", *SHORT]),
     "rdpg": ("dqn", ["preset=rdpg", *BUFFER, "network.hidden=8", "loss.burn_in=2", *SHORT]),
