@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import os
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,9 @@ from nfv_torchrl.files import write_atomically
 from nfv_torchrl.vocabulary import PER_SEED_COLUMNS, SUMMARY_COLUMNS, TABLE, Form, Quantity, find
 
 UNDEFINED = "–"
+WIDTH = 120
+"""Columns of a terminal that a table may take."""
+GAP = 2
 
 
 @dataclass(frozen=True)
@@ -27,12 +31,12 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
-    def text(self) -> str:
-        """Aligned columns for a terminal."""
+    def text(self, width: int = WIDTH) -> str:
+        """Aligned columns for a terminal, in several tables one below the other if they need more than ``width``."""
         lines = [self.columns, *self.rows]
         widths = [max(len(line[k]) for line in lines) for k in range(len(self.columns))]
-        shown = [_pad(line, widths) for line in lines]
-        return "\n".join([self.title, shown[0], "-" * len(shown[0]), *shown[1:]])
+        parts = ["\n".join(_ruled(lines, widths, chosen)) for chosen in _fitting(widths, width)]
+        return "\n\n".join(["\n".join([textwrap.fill(self.title, width), parts[0]]), *parts[1:]])
 
     def markdown(self) -> str:
         """A Markdown table under its title in bold."""
@@ -53,18 +57,22 @@ def render(comparison: Comparison, reference: str | None = None, markdown: bool 
         tables.append(paired_table(comparison, reference))
     if reference is not None and len(comparison.methods) > 2:
         tables.append(cost_matrix(comparison))
-    return "\n\n".join([headline(comparison), *(table.markdown() if markdown else table.text() for table in tables)])
+    said = headline(comparison) if markdown else textwrap.fill(headline(comparison), WIDTH)
+    return "\n\n".join([said, *(table.markdown() if markdown else table.text() for table in tables)])
 
 
 def headline(comparison: Comparison) -> str:
     """The scenario in one line, rho first."""
     scenario = comparison.scenario
+    masks = {method: comparison.scenario_of(method).mask for method in comparison.methods}
+    # What the scenario says need not be what acted: methods may bring a mask of their own.
+    usual = scenario.mask if scenario.mask in masks.values() or not masks else next(iter(masks.values()))
     parts = [
         f"rho = {_loads(comparison)}",
         f"scenario {scenario.name}",
         f"lifetimes {'seen' if scenario.observe_lifetime else 'hidden'}",
         f"colocation {'on' if scenario.colocation else 'off'}",
-        f"mask {scenario.mask}",
+        f"mask {usual}",
         f"admission control {'on' if scenario.admission_control else 'off'}",
         f"N = {scenario.substrate.num_nodes}",
         f"T = {scenario.horizon}",
@@ -72,11 +80,7 @@ def headline(comparison: Comparison) -> str:
     ]
     if scenario.warmup:
         parts.append(f"first {scenario.warmup} slots left out")
-    own = [
-        f"{method} acts under mask {mask}"
-        for method in comparison.methods
-        if (mask := comparison.scenario_of(method).mask) != scenario.mask
-    ]
+    own = [f"{method} acts under mask {mask}" for method, mask in masks.items() if mask != usual]
     return ", ".join([*parts, *own])
 
 
@@ -282,10 +286,25 @@ def _amount(value: float) -> str:
     return f"{value:,.{digits}f}"
 
 
-def _pad(line: Sequence[str], widths: Sequence[int]) -> str:
-    first, *others = (cell.ljust(width) if k == 0 else cell.rjust(width)
-                      for k, (cell, width) in enumerate(zip(line, widths, strict=True)))  # fmt: skip
-    return "  ".join([first, *others]).rstrip()
+def _fitting(widths: Sequence[int], width: int) -> list[list[int]]:
+    """Columns of each table: those that fit beside the first one, which names the rows and is in all of them."""
+    tables, taken = [[0]], widths[0]
+    for column in range(1, len(widths)):
+        if taken + GAP + widths[column] > width and len(tables[-1]) > 1:
+            tables.append([0])
+            taken = widths[0]
+        tables[-1].append(column)
+        taken += GAP + widths[column]
+    return tables
+
+
+def _ruled(lines: Sequence[Sequence[str]], widths: Sequence[int], columns: Sequence[int]) -> list[str]:
+    """The chosen columns of all lines, aligned, with a rule below the head."""
+    shown = []
+    for line in lines:
+        first, *others = (line[k].rjust(widths[k]) if k else line[k].ljust(widths[k]) for k in columns)
+        shown.append((" " * GAP).join([first, *others]).rstrip())
+    return [shown[0], "-" * len(shown[0]), *shown[1:]]
 
 
 FORMS: dict[Form, Callable[[float], str]] = {"share": _share, "percent": _percent_of, "amount": _amount}

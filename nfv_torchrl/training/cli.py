@@ -31,6 +31,7 @@ from nfv_torchrl.cli import recipes_folder
 from nfv_torchrl.errors import AuditError, CheckpointError, ScenarioError, TrainingError, cut_words
 from nfv_torchrl.locks import locks_of_command
 from nfv_torchrl.settings.torchrl_losses import forget_other_loss
+from nfv_torchrl.training.help import help_text
 from nfv_torchrl.training.overrides import explain
 
 P = ParamSpec("P")
@@ -86,6 +87,10 @@ def recipe(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., 
         def run(cfg: DictConfig | None = None) -> None:
             if cfg is not None:
                 entering(cfg)
+                return
+            if {"-h", "--help"} & set(sys.argv[1:]):
+                with recipe_configs(recipes):
+                    print(help_text(name, recipes / "config"))
                 return
             wanted = os.environ.get(FULL_ERROR) == "1"
             try:

@@ -12,7 +12,7 @@ from toy import DUO, SOLO
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.comparison import Comparison
 from nfv_torchrl.evaluation.metrics import compute_metrics
-from nfv_torchrl.evaluation.tables import headline, method_table, paired_table, render, write_summary
+from nfv_torchrl.evaluation.tables import Table, headline, method_table, paired_table, render, write_summary
 
 WORKLOADS = {
     1: toy.workload_of((0, DUO, 0, 3, 2.0), (0, DUO, 0, 3, 2.0), (1, SOLO, 3, 0, 2.0), (2, DUO, 1, 3, 1.0)),
@@ -118,7 +118,7 @@ def test_text_and_markdown_hold_the_same_cells():
 
 
 def test_columns_are_aligned():
-    lines = method_table(comparison()).text().splitlines()[1:]
+    lines = method_table(comparison()).text(width=1000).splitlines()[1:]
     assert len({len(line) for line in lines}) == 1
 
 
@@ -149,3 +149,26 @@ def test_seeds_without_a_metric_do_not_count():
         runs.add(first_fit(workload=work, seed=seed))
     assert runs.interval("first_fit", "aar/duo").n == 1
     assert math.isnan(runs.metrics["first_fit"][2]["aar/duo"])
+
+
+def test_a_table_fits_a_terminal_and_the_rest_follows_in_a_second_one():
+    table = method_table(comparison())
+    lines = table.text(width=60).splitlines()
+    assert max(map(len, lines)) <= 60
+    heads = [line for line in lines if line.startswith("method")]
+    assert len(heads) > 1 and all(column in "".join(heads) for column in table.columns)
+    assert sum(line.startswith("some ") for line in lines) == len(heads)
+
+
+def test_a_column_wider_than_the_terminal_stands_alone():
+    table = Table("title", ("method", "a" * 30, "b"), (("x", "1", "2"),))
+    assert [line.split()[1:] for line in table.text(width=20).splitlines() if line.startswith("method")] == [
+        ["a" * 30],
+        ["b"],
+    ]
+
+
+def test_the_head_names_the_mask_that_acted():
+    runs = Comparison(toy.toy_scenario(mask="adjacency"))
+    runs.add(first_fit(toy.toy_scenario(mask="feasible"), method="own"))
+    assert "mask feasible" in headline(runs) and "mask adjacency" not in headline(runs)
