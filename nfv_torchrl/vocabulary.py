@@ -122,6 +122,9 @@ for _row in (
     Quantity("decisions_per_second", "1/s", "requests answered per second of it", head="decisions/s",
              measured=True),
     # Of two methods on the same requests, or of a method and a bound.
+    Quantity("aar_iqm", SHARE, "interquartile mean of `aar` over training seeds and workloads", _SUMMARY, "AAR IQM"),
+    Quantity("training_frames", "", "frames that a training took", _SUMMARY, "frames"),
+    Quantity("training_seconds", SECONDS, "processor time that a training took", _SUMMARY, "processor s"),
     Quantity("aar_difference", SHARE, "`aar` minus that of the reference, paired by seed", _SUMMARY, "AAR difference"),
     Quantity("aar_relative_difference", SHARE, "`aar_difference` / mean `aar` of the reference", _SUMMARY, "relative"),
     Quantity("anuc_relative_difference", SHARE, "`anuc` minus that of the reference, / its mean", _FIGURES),

@@ -1,14 +1,16 @@
 """Compare losses: the same scenario, frames and seeds for all of them, then a table and learning curves.
 
     python recipes/compare_losses.py                               # everything in config/compare_losses.yaml
-    python recipes/compare_losses.py only=[dqn,n_step] seeds=5 frames=600_000 explored=200_000
+    python recipes/compare_losses.py only=[dqn,n_step] frames=600_000 explored=200_000
     python recipes/compare_losses.py scenario=heavy output=runs/losses_heavy
+    python recipes/compare_losses.py compute=false                 # the table and pictures of what is there so far
 
 Every training is a run of its recipe in a process of its own, ``parallel.jobs`` of them at once. What has been computed
 before is not computed again, an interrupted run goes on from its checkpoint, and a loss of your own is one more entry
 of ``losses`` (``+losses.mine.overrides=[loss=mine]``).
 
-Writes to ``output``: ``losses.md``, ``losses.csv``, ``learning_curves_*.png/pdf/csv``, and the runs themselves.
+Writes to ``output``: ``losses.md``, ``losses.csv``, ``learning_curves_*`` and
+``profiles_*`` (png, pdf, csv), and the runs themselves.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import csv_text
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.computing import compute_shown
-from nfv_torchrl.experiments.losses import FLOOR, draw_curves, loss_table, table_rows
+from nfv_torchrl.experiments.losses import FLOOR, Compared, draw_curves, draw_profiles, loss_table, table_rows
 from nfv_torchrl.files import write_atomically
-from nfv_torchrl.folders import claim
+from nfv_torchrl.folders import claim, refuse_foreign
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import CompareLossesSettings, read_settings
 from nfv_torchrl.settings.values import list_of_seeds
@@ -43,26 +45,41 @@ def main(cfg: DictConfig) -> None:
     scenario = Scenario.from_config(config["scenario"])
     store = CellStore(run_folder(config["output"], "output"), Path(__file__).parent)
 
-    trained = {name: [training_cell(config, name, seed) for seed in range(config["seeds"])] for name in losses}
-    workloads = list(range(config["workloads"]))
-    tested = {name: [evaluation_cell(config, name, workloads, run) for run in runs] for name, runs in trained.items()}
-    floor = {
-        "workloads": evaluation_cell(config, FLOOR, workloads),
-        "eval_seeds": evaluation_cell(config, FLOOR, config["eval_seeds"]),
+    seeds, workloads = range(config["seeds"]), list(range(config["workloads"]))
+    trained = {name: {seed: training_cell(config, name, seed) for seed in seeds} for name in losses}
+    tested = {
+        name: {seed: evaluation_cell(config, name, workloads, run) for seed, run in runs.items()}
+        for name, runs in trained.items()
     }
-    cells = [*floor.values(), *(cell for runs in tested.values() for cell in runs)]
-    claim("output", store.folder, "cells")
-    failures = compute_shown(cells, store, instantiate(cfg.parallel))
+    rules = [FLOOR, *config["method"]]
+    compared = Compared(
+        trained,
+        tested,
+        {name: evaluation_cell(config, name, workloads) for name in rules},
+        {name: evaluation_cell(config, name, config["eval_seeds"]) for name in rules},
+        store,
+    )
+    failures = {}
+    if config["compute"]:
+        claim("output", store.folder, "cells")
+        cells = [*compared.rules.values(), *compared.held_out.values()]
+        cells += [cell for runs in tested.values() for cell in runs.values()]
+        failures = compute_shown(cells, store, instantiate(cfg.parallel))
+    else:
+        refuse_foreign("output", store.folder, "cells")
 
-    tested = {name: runs for name, runs in tested.items() if all(store.has(cell) for cell in runs)}
-    rows = table_rows(tested, floor["workloads"], store, config["reference"])
+    rows = table_rows(compared, config["reference"])
     table = loss_table(rows, config, scenario)
+    lacks = compared.lacking()
+    note = f"\n\nNot there yet: {'; '.join(lacks)}." if lacks else ""
     write_atomically(store.folder / "losses.csv", csv_text(rows))
-    write_atomically(store.folder / "losses.md", table.markdown() + "\n")
-    print(f"\n{table.text()}")
+    write_atomically(store.folder / "losses.md", f"{table.markdown()}{note}\n")
+    print(f"\n{table.text()}{note}")
     for figure, names in config["figures"].items():
-        draw_curves(figure, [name for name in names if name in tested], trained, floor["eval_seeds"], store, scenario)
-    print(f"\nTable, curves and runs: {store.folder}")
+        there = [name for name in names if name in losses]
+        draw_curves(figure, there, compared, scenario)
+        draw_profiles(figure, there, compared, scenario)
+    print(f"\nTable, curves, profiles and runs: {store.folder}")
     if failures:
         raise ScenarioError("\n  ".join(["some runs failed:", *(f"{key}: {text}" for key, text in failures.items())]))
 
@@ -97,10 +114,12 @@ def training_cell(config: Mapping[str, Any], name: str, seed: int) -> Cell:
 
 
 def evaluation_cell(config: Mapping[str, Any], name: str, seeds: Sequence[int], run: Cell | None = None) -> Cell:
-    """The policy of a training run, or the floor, on common workloads."""
-    if run is None:
+    """The policy of a training run, or a rule, on common workloads."""
+    training = None
+    if name == FLOOR:
         method = {"_target_": "nfv_torchrl.methods.RandomMethod", "name": name, "mask": "feasible"}
-        training = None
+    elif run is None:
+        method = config["method"][name]
     else:
         method = {"_target_": "nfv_torchrl.methods.load_policy", "_partial_": True, "name": name}
         training = run.spec

@@ -15,6 +15,7 @@ matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
 
+from nfv_torchrl.evaluation.looks import Look, looks
 from nfv_torchrl.evaluation.statistics import Interval
 from nfv_torchrl.files import write_atomically
 
@@ -33,9 +34,6 @@ STYLE: Any = {
     "legend.frameon": False,
     "pdf.fonttype": 42,
 }
-# Colours that stay apart for colour-blind readers (Okabe and Ito), and markers that stay apart in black and white.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MOST_ERROR_BARS = 25
 """A series of more points than this shows its interval as a band."""
 
@@ -62,7 +60,7 @@ def line_figure(
     """One line for each series of ``rows``, with its confidence interval where that is defined.
 
     Args:
-        rows: tidy table (see ``Row``); series are drawn, and coloured, in order of appearance.
+        rows: tidy table (see ``Row``); series are drawn in order of appearance, with the looks of ``looks``.
         x_label: label of the horizontal axis, unit included.
         y_label: label of the vertical axis, unit included.
         title: what is shown, and on what scenario.
@@ -71,32 +69,31 @@ def line_figure(
     with matplotlib.rc_context(STYLE):
         figure = Figure(layout="constrained")
         axes = figure.add_subplot()
-        for place, series in enumerate(dict.fromkeys(row["series"] for row in rows)):
+        for series, look in looks(str(row["series"]) for row in rows).items():
             points = [row for row in rows if row["series"] == series]
-            draw_series(axes, points, str(series), place, "--" if series in dashed else "-")
+            draw_series(axes, points, series, look._replace(line="--") if series in dashed else look)
         axes.set(xlabel=x_label, ylabel=y_label, title=title)
         if rows:
             figure.legend(loc="outside lower center", ncols=4, fontsize=9)  # beside the lines, not on them
     return figure
 
 
-def draw_series(axes: Any, rows: Sequence[Row], label: str, place: int, linestyle: str = "-") -> None:
+def draw_series(axes: Any, rows: Sequence[Row], label: str, look: Look) -> None:
     """One line over the ``rows`` of one series, with its confidence interval where that is defined.
 
     Args:
         axes: matplotlib axes.
         rows: tidy table of the series alone, in any order.
         label: what the legend says.
-        place: number of the series, which gives colour and marker.
-        linestyle: a line that is not solid has no markers (a bound, a theory).
+        look: colour, marker and line; a line that is not solid has no markers (a bound, a theory).
     """
     points = sorted(rows, key=lambda row: row["x"])
     x = [point["x"] for point in points]
     mean, low, high = ([float(point[key]) for point in points] for key in ("mean", "ci_low", "ci_high"))
-    colour = COLOURS[place % len(COLOURS)]
+    colour = look.colour
     band = len(points) > MOST_ERROR_BARS
-    marker = "" if band or linestyle != "-" else MARKERS[place % len(MARKERS)]
-    axes.plot(x, mean, color=colour, marker=marker, linestyle=linestyle, label=label)
+    marker = "" if band or look.line != "-" else look.marker
+    axes.plot(x, mean, color=colour, marker=marker, linestyle=look.line, label=label)
     if band:
         axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
         return

@@ -40,16 +40,20 @@ class Column:
         form: how a number is shown, such as ``+.3f``.
         method: whose numbers; None: of the method that the line is of.
         reference: what they are compared with.
+        title: what is above it; empty: `AAR greedy`, `AAR difference to dqn`, ...
     """
 
     metric: str
     form: str
     method: str | None = None
     reference: str = ""
+    title: str = ""
 
     @property
     def head(self) -> str:
-        """`AAR greedy`, `AAR difference to dqn`, ..."""
+        """What is above it."""
+        if self.title:
+            return self.title
         words = [TABLE[self.metric].head or self.metric]
         if self.reference:
             words += ["to", self.reference]

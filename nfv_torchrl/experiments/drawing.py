@@ -13,32 +13,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from nfv_torchrl.evaluation.figures import STYLE, Row, csv_text, draw_series, save_figure
+from nfv_torchrl.evaluation.looks import LOOKS, looks
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.rows import Rows
 from nfv_torchrl.experiments.study import Study
 from nfv_torchrl.files import write_atomically
 
-PLACES = {
-    "DQN-AR": 0,
-    "DQN-AR, default reward": 0,
-    "DQN-AR, paper's reward": 7,
-    "greedy": 1,
-    "tabu": 2,
-    "NFVdeep": 3,
-    "myopic_optimal": 4,
-    "priced": 5,
-    "priced_admit": 6,
-    "bound: hindsight": 7,
-    "bound: blind": 7,
-}
-"""Number, and so colour and marker, of the series that several figures show, in the order of legends."""
 LETTERS_PER_INCH = 14
 LETTERS_OF_A_HANDLE = 8
 MOST_COLUMNS = 5
 GAP_HEIGHT = 2.6
 GAP_RANGE = (-1.05, 1.05)
 """Shares of the gap that are drawn; what lies below is in the CSV alone."""
-DASHES = {"bound: hindsight": "--", "bound: blind": ":"}
 
 
 @dataclass
@@ -92,13 +78,14 @@ def panel_figure(
     panels = list(dict.fromkeys(row["panel"] for row in rows))
     series = sorted(dict.fromkeys(row["series"] for row in rows), key=_order)
     like = like or {}
-    styles = DASHES | dict.fromkeys(like, "--")
+    found = looks(name for name in series if name not in like)
+    found |= {name: LOOKS[other]._replace(line="--") for name, other in like.items()}
 
     def draw(axes: Any, shown: Sequence[Row]) -> None:
-        for place, name in enumerate(series):
+        for name in series:
             mine = [row for row in shown if row["series"] == name]
             if mine:
-                draw_series(axes, mine, name, PLACES.get(like.get(name, name), place), styles.get(name, "-"))
+                draw_series(axes, mine, name, found[name])
         axes.set_xlabel(x_label)
         axes.set(**{f"{axis}scale": "log" for axis in log})
         if "y" in log:  # less than a decade would show a single number
@@ -153,4 +140,4 @@ def _legend(figure: Figure, grid: Sequence[Any]) -> None:
 
 
 def _order(name: str) -> int:
-    return list(PLACES).index(name) if name in PLACES else len(PLACES)
+    return list(LOOKS).index(name) if name in LOOKS else len(LOOKS)

@@ -1,15 +1,19 @@
-"""Losses side by side: their scores over training seeds as a table and as learning curves."""
+"""Losses side by side: their scores over training seeds as a table, as learning curves and as performance profiles."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
+import numpy as np
+
 from nfv_torchrl.evaluation.figures import line_figure, save_figure, tidy_row
 from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
-from nfv_torchrl.evaluation.statistics import mean_interval, paired_difference
+from nfv_torchrl.evaluation.robust import interquartile_mean, performance_profile
+from nfv_torchrl.evaluation.statistics import Interval, mean_interval, paired_difference
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.scenario.scenario import Scenario
@@ -17,70 +21,155 @@ from nfv_torchrl.scenario.scenario import Scenario
 FLOOR = "random_feasible"
 """What every loss has to beat."""
 COST = "cost_per_accepted"
+LEVELS = 200
+"""Levels of AAR at which a performance profile is drawn."""
+Rows = list[dict[str, Any]]
 
 
-def scores(runs: Sequence[Cell], store: CellStore, metric: str) -> list[float]:
-    """A metric of each training seed, the mean over workloads."""
-    found = []
-    for cell in runs:
-        values = [run[metric] for run in store.read(cell)["metrics"].values()]
-        found.append(fmean(math.nan if value is None else value for value in values))
-    return found
+@dataclass(frozen=True)
+class Compared:
+    """The cells of a comparison, those that the store has and those that it lacks.
+
+    Attributes:
+        trained: by loss and training seed, the training.
+        tested: by loss and training seed, the policy on the workloads of the test.
+        rules: by name, ``FLOOR`` first, what needs no training, on the same workloads.
+        held_out: the same on the workloads of the learning curves.
+        store: what is there.
+    """
+
+    trained: Mapping[str, Mapping[int, Cell]]
+    tested: Mapping[str, Mapping[int, Cell]]
+    rules: Mapping[str, Cell]
+    held_out: Mapping[str, Cell]
+    store: CellStore
+
+    def runs(self, name: str) -> dict[int, Cell]:
+        """The tests of a loss that are there, by training seed."""
+        return {seed: cell for seed, cell in self.tested[name].items() if self.store.has(cell)}
+
+    def there(self) -> list[str]:
+        """Losses with a run."""
+        return [name for name in self.tested if self.runs(name)]
+
+    def lacking(self) -> list[str]:
+        """What is not there, for people: ``dqn: training seeds 3, 4``."""
+        told = [f"{name} (rule)" for name, cell in self.rules.items() if not self.store.has(cell)]
+        for name, cells in self.tested.items():
+            seeds = sorted(set(cells) - set(self.runs(name)))
+            if seeds:
+                told.append(f"{name}: training seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}")
+        return told
 
 
-def table_rows(
-    tested: Mapping[str, Sequence[Cell]], floor: Cell, store: CellStore, reference: str
-) -> list[dict[str, Any]]:
-    """One row for each loss and quantity: mean over training seeds and its interval."""
-    if not store.has(floor):
+def scores(cell: Cell, store: CellStore, metric: str) -> list[float]:
+    """A metric of every workload of an evaluation, NaN where it does not exist."""
+    found = (run[metric] for run in store.read(cell)["metrics"].values())
+    return [math.nan if value is None else value for value in found]
+
+
+def table_rows(compared: Compared, reference: str) -> Rows:
+    """One row for each loss or rule and quantity: mean over training seeds and its interval."""
+    store, rows = compared.store, []
+    if not store.has(compared.rules[FLOOR]):
         return []
-    (lowest,) = scores([floor], store, "aar")
-    rows = [result_row({}, FLOOR, "aar", mean_interval([lowest]))]
-    rows.append(result_row({}, FLOOR, COST, mean_interval(scores([floor], store, COST))))
-    for name, runs in tested.items():
-        aar = scores(runs, store, "aar")
-        rows.append(result_row({}, name, "aar", mean_interval(aar)))
-        if name != reference and reference in tested:
-            paired = paired_difference(aar, scores(tested[reference], store, "aar"))
-            rows.append(result_row({}, name, "aar_difference", paired, reference))
-        above = mean_interval([value - lowest for value in aar])
+    lowest = fmean(scores(compared.rules[FLOOR], store, "aar"))
+    for name, cell in compared.rules.items():
+        if store.has(cell):
+            rows += _own_rows(name, {0: cell}, store)
+            if name != FLOOR:
+                above = mean_interval([fmean(scores(cell, store, "aar")) - lowest])
+                rows.append(result_row({}, name, "aar_difference", above, FLOOR))
+    for name in compared.there():
+        runs = compared.runs(name)
+        aar = {seed: fmean(scores(cell, store, "aar")) for seed, cell in runs.items()}
+        rows += _own_rows(name, runs, store)
+        other = compared.runs(reference) if reference in compared.tested else {}
+        pairs = [(aar[seed], fmean(scores(other[seed], store, "aar"))) for seed in runs if seed in other]
+        if name != reference and pairs:
+            rows.append(result_row({}, name, "aar_difference", paired_difference(*zip(*pairs, strict=True)), reference))
+        above = mean_interval([value - lowest for value in aar.values()])
         rows.append(result_row({}, name, "aar_difference", above, FLOOR))
-        rows.append(result_row({}, name, COST, mean_interval(scores(runs, store, COST))))
+        rows += _effort_rows(name, [compared.trained[name][seed] for seed in runs], store)
     return rows
 
 
-def loss_table(rows: Sequence[Mapping[str, Any]], config: Mapping[str, Any], scenario: Scenario) -> Table:
-    """The rows as one line for each loss."""
+def _own_rows(name: str, runs: Mapping[int, Cell], store: CellStore) -> Rows:
+    means = {metric: [fmean(scores(cell, store, metric)) for cell in runs.values()] for metric in ("aar", COST)}
+    middle = interquartile_mean(np.array([scores(cell, store, "aar") for cell in runs.values()]))
+    found = {"aar": mean_interval(means["aar"]), "aar_iqm": middle, COST: mean_interval(means[COST])}
+    return [result_row({}, name, metric, interval) for metric, interval in found.items()]
+
+
+def _effort_rows(name: str, trainings: Sequence[Cell], store: CellStore) -> Rows:
+    results = [store.read(cell) for cell in trainings if store.has(cell)]
+    frames = [result["eval"][-1]["frames"] for result in results if result["eval"]]
+    found = {
+        "training_frames": mean_interval(frames),
+        "training_seconds": mean_interval([result.get("processor_seconds", math.nan) for result in results]),
+    }
+    return [result_row({}, name, metric, interval) for metric, interval in found.items() if interval.n]
+
+
+def loss_table(rows: Rows, config: Mapping[str, Any], scenario: Scenario) -> Table:
+    """The rows as one line for each loss or rule."""
     title = (
         f"Losses: rho = {scenario.offered_load():.2f}, scenario {scenario.name}, N = {scenario.substrate.num_nodes}, "
         f"{config['frames']:,} frames, {config['seeds']} training seeds, {config['workloads']} workloads, "
         f"lifetimes {'seen' if scenario.observe_lifetime else 'hidden'}"
     )
-    differences = [Column("aar_difference", "+.4f", reference=to) for to in (config["reference"], FLOOR)]
-    return pivot(title, rows, {"method": ""}, [Column("aar", ".4f"), *differences, Column(COST, ".1f")])
+    others = (config["reference"], FLOOR)
+    differences = [Column("aar_difference", "+.4f", reference=to, title=f"AAR - {to}") for to in others]
+    effort = [Column("training_frames", ",.0f"), Column("training_seconds", ",.0f")]
+    columns = [Column("aar", ".4f"), Column("aar_iqm", ".4f"), *differences, Column(COST, ".1f"), *effort]
+    return pivot(title, rows, {"method": ""}, columns)
 
 
-def draw_curves(
-    figure: str,
-    names: Sequence[str],
-    trained: Mapping[str, Sequence[Cell]],
-    floor: Cell,
-    store: CellStore,
-    scenario: Scenario,
-) -> None:
-    """AAR on the held-out workloads over frames, mean and interval over training seeds."""
-    rows = []
+def draw_curves(figure: str, names: Sequence[str], compared: Compared, scenario: Scenario) -> None:
+    """AAR on the held-out workloads over frames, mean and interval over training seeds; rules as lines."""
+    store, rows = compared.store, []
     for name in names:
         at: dict[int, list[float]] = {}
-        for run in trained[name]:
+        for run in filter(store.has, compared.trained[name].values()):
             for point in store.read(run)["eval"]:
                 at.setdefault(int(point["frames"]), []).append(point["aar"])
         rows += [tidy_row(name, frames, mean_interval(values)) for frames, values in sorted(at.items())]
-    if not rows or not store.has(floor):
+    if not rows:
         return
-    (lowest,) = scores([floor], store, "aar")
     ends = (min(row["x"] for row in rows), max(row["x"] for row in rows))
-    rows += [tidy_row(FLOOR, x, mean_interval([lowest])) for x in ends]
-    title = f"{scenario.name}, rho = {scenario.offered_load():.2f}"
-    drawn = line_figure(rows, x_label="frames", y_label="AAR (held-out workloads)", title=title, dashed=[FLOOR])
+    rules = {name: cell for name, cell in compared.held_out.items() if store.has(cell)}
+    for name, cell in rules.items():
+        level = Interval(fmean(scores(cell, store, "aar")), math.nan, math.nan, 1)
+        rows += [tidy_row(name, x, level) for x in ends]
+    labels = {
+        "x_label": "frames",
+        "y_label": "AAR (held-out workloads)",
+        "title": f"Learning curves, {_where(scenario)}",
+    }
+    drawn = line_figure(rows, **labels, dashed=list(rules))
     save_figure(drawn, rows, store.folder / f"learning_curves_{figure}")
+
+
+def draw_profiles(figure: str, names: Sequence[str], compared: Compared, scenario: Scenario) -> None:
+    """For every level of AAR the share of runs and workloads above it; rules as lines."""
+    store = compared.store
+    rules = {name: [cell] for name, cell in compared.rules.items() if store.has(cell)}
+    runs = {name: list(compared.runs(name).values()) for name in names if compared.runs(name)}
+    if not runs:
+        return
+    found = {name: np.array([scores(cell, store, "aar") for cell in cells]) for name, cells in (runs | rules).items()}
+    low, high = min(map(np.min, found.values())), max(map(np.max, found.values()))
+    margin = 0.02 * max(high - low, 0.01)
+    taus = np.linspace(low - margin, high + margin, LEVELS)
+    rows = [
+        tidy_row(name, float(tau), share)
+        for name, table in found.items()
+        for tau, share in zip(taus, performance_profile(table, taus), strict=True)
+    ]
+    labels = {"x_label": r"AAR $\tau$", "y_label": r"share of runs and workloads with AAR > $\tau$"}
+    drawn = line_figure(rows, **labels, title=f"Performance profiles, {_where(scenario)}", dashed=list(rules))
+    save_figure(drawn, rows, store.folder / f"profiles_{figure}")
+
+
+def _where(scenario: Scenario) -> str:
+    return rf"{scenario.name}, $\rho$ = {scenario.offered_load():.2f}"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import resource
 import signal
 import subprocess
 import sys
@@ -26,6 +28,8 @@ running: subprocess.Popen[bytes] | None = None
 """The recipe that this process waits for."""
 stopping = False
 """Whether this process was told to end."""
+PROCESSOR_TIME = "Processor time: "
+"""A line of the log of a training, one for each part of it."""
 LONGEST_SAVING = 60.0
 """Seconds that a recipe may take to save and end."""
 
@@ -65,7 +69,8 @@ def train(cell: Cell, store: CellStore) -> dict[str, Any]:
     policy = folder / spec["policy"]
     if not policy.exists():
         raise TrainingStopped(f"{folder} has no {spec['policy']}; see {folder.with_suffix('.log')}")
-    return {"run": folder.name, "policy": policy.name, **read_curves(folder)}
+    seconds = processor_seconds(folder.with_suffix(".log"))
+    return {"run": folder.name, "policy": policy.name, "processor_seconds": seconds, **read_curves(folder)}
 
 
 def drop_checkpoints(cell: Cell, store: CellStore) -> None:
@@ -106,13 +111,27 @@ def _run(command: list[str], log: Path) -> None:
         running = subprocess.Popen(command, stdout=output, stderr=output, env={**os.environ, **one_thread})
         if stopping:  # the signal came just before there was something to stop
             running.terminate()
+        before = _of_children()
         code = running.wait()
         running = None
+        output.write(f"\n{PROCESSOR_TIME}{_of_children() - before:.1f} s\n".encode())
     printed = log.read_bytes()[begin:].decode(errors="replace")
     if code != 0:
         raise TrainingStopped(f"training ended with code {code}; the end of {log}:\n{printed[-1500:]}")
     if "Stopped and saved." in printed:
         raise TrainingStopped(f"training was interrupted and saved; start again to go on ({log})")
+
+
+def processor_seconds(log: Path) -> float:
+    """Processor time of a training and of its continuations, but for any whose worker was killed."""
+    found = re.findall(rf"^{PROCESSOR_TIME}([\d.]+) s$", log.read_text(errors="replace"), re.MULTILINE)
+    return sum(map(float, found))
+
+
+def _of_children() -> float:
+    """Processor time of processes that this one has started and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def read_curves(folder: Path) -> dict[str, list[dict[str, float]]]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import matplotlib
 from matplotlib.figure import Figure
 
-from nfv_torchrl.evaluation.figures import COLOURS, STYLE, tidy_row
+from nfv_torchrl.evaluation.figures import STYLE, tidy_row
+from nfv_torchrl.evaluation.looks import looks
 from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, set_title
@@ -62,7 +63,8 @@ def _bars(rows: Rows, title: str) -> Figure:
             mine = [row for row in rows if row["metric"] == metric]
             arms = [[row["mean"] - row["ci_low"] for row in mine], [row["ci_high"] - row["mean"] for row in mine]]
             places = [names.index(row["series"]) for row in mine]
-            axes.barh(places, [row["mean"] for row in mine], xerr=arms, color=COLOURS[0], alpha=0.75, capsize=3)
+            colours = [looks([row["series"].partition(":")[0]]).popitem()[1].colour for row in mine]
+            axes.barh(places, [row["mean"] for row in mine], xerr=arms, color=colours, alpha=0.75, capsize=3)
             axes.set_yticks(range(len(names)), names)
             axes.set_xlabel(label)
     return figure

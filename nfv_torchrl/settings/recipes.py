@@ -471,6 +471,8 @@ class CompareLossesSettings:
     reference: str
     only: Overrides | None
     parallel: Parallel
+    method: Methods
+    compute: bool
     output: str
     overrides: Overrides
     settings: dict[str, Overrides]
