@@ -56,10 +56,10 @@ LOOKS: dict[str, Look] = {
     "imitation": Look("#556B2F", "X"),
 }
 SPARE = (
-    Look("#0072B2", "o"), Look("#D55E00", "s"), Look("#009E73", "^"), Look("#CC79A7", "D"), Look("#E69F00", "v"),
-    Look("#56B4E9", "P"), Look("#000000", "X"), Look("#999999", "*"),
+    Look("#440154", "o"), Look("#277F8E", "s"), Look("#7AD151", "^"), Look("#46327E", "D"), Look("#1F9E70", "v"),
+    Look("#BDBF1A", "P"), Look("#365C8D", "X"), Look("#4AC16D", "*"),
 )  # fmt: skip
-"""For series that are no methods of the table, in order."""
+"""For series that are no methods of the table, such as sizes, in order; colours that no method has."""
 
 
 def looks(names: Iterable[str]) -> dict[str, Look]:

@@ -52,7 +52,8 @@ class CostWeight:
         where = f"N = {world['substrate']['nodes']}, λ = {world['arrival_rate']:g}/s, μ = {world['mean_lifetime']:g} s"
         figure = panel_figure(
             rows,
-            title=f"{METRICS[self.metric]} over the cost weight, {where}, ρ = {study.rho(world):.2f}\n{study.about()}",
+            title=f"{METRICS[self.metric]} over the cost weight, {where}, ρ = {study.rho(world):.2f}",
+            caption=study.about(),
             x_label="w_cost of the reward that DQN-AR is trained with",
             y_label=METRICS[self.metric],
         )

@@ -78,9 +78,9 @@ class DecisionTime:
         worlds = self._worlds(study)
         figure = panel_figure(
             rows,
-            title="Processor time of a decision over N, one network at a time, one thread, colocation off; "
-            f"λ = {worlds[0]['arrival_rate']:g}/s\n"
-            f"{study.about()}; timed on {options['seeds']} horizons of {options['horizon']} slots",
+            title=f"Processor time of a decision over N, λ = {worlds[0]['arrival_rate']:g}/s",
+            caption=f"{study.about()}\nOne network at a time, one thread, colocation off. Timed on {options['seeds']} "
+            f"horizons of {options['horizon']} slots; formulas (dashed) are scaled to their method's first point.",
             x_label="nodes N",
             y_label="ms of processor time a request",
             ticks={(n := world["substrate"]["nodes"]): f"{n}\nρ {study.rho(world):.2f}" for world in worlds},

@@ -41,10 +41,11 @@ class LearningCurves:
             for world in self._worlds(study):
                 rows += self._rows(study, store, world, group)
         seeds = len(self._seeds(study))
-        title = f"{METRICS[self.metric]} of DQN-AR while it trains{self._where(study)}\n{study.about()}, "
+        notes = " ".join(self._note(study, store, world) for world in self._worlds(study))
         figure = panel_figure(
             rows,
-            title=f"{title}{seeds} training seed{'s' if seeds > 1 else ''}",
+            title=f"{METRICS[self.metric]} of DQN-AR while it trains{self._where(study)}",
+            caption=f"{study.about()}\n{seeds} training seed{'s' if seeds > 1 else ''}. {notes}",
             x_label="frames (decisions) of training",
             y_label=METRICS[self.metric],
         )
@@ -56,17 +57,23 @@ class LearningCurves:
         for point in (point for curve in curves for point in curve if self.metric in point):
             values.setdefault(point["frames"], []).append(point[self.metric])
         horizon = self._frames_per_horizon(study, store, world)
-        name = f"N = {world['substrate']['nodes']} (ρ {study.rho(world):.2f}; a horizon is {horizon:,.0f} frames"
+        name = f"N = {world['substrate']['nodes']}, ρ {study.rho(world):.2f}"
         more = {"metric": self.metric, **setting(world, study.rho(world)), "panel": GROUPS[group]}
         if self.metric == "aar":
             bounds = store.read(self._bound(study, world))["bounds"]
             more |= {f"bound_{kind}": mean_interval(list(by_seed.values())).mean for kind, by_seed in bounds.items()}
-            name += "".join(f"; {kind} bound {more[f'bound_{kind}']:.2f}" for kind in bounds)
-        name += ")"
         return [
             tidy_row(name, frames, mean_interval(found), horizons=round(frames / horizon, 4), **more)
             for frames, found in sorted(values.items())
         ]
+
+    def _note(self, study: Study, store: CellStore, world: Point) -> str:
+        """For the caption: the length of a horizon, and what is mathematically possible."""
+        told = [f"a horizon is {self._frames_per_horizon(study, store, world):,.0f} frames"]
+        if self.metric == "aar":
+            for kind, by_seed in store.read(self._bound(study, world))["bounds"].items():
+                told.append(f"{kind} bound {mean_interval(list(by_seed.values())).mean:.2f}")
+        return f"N = {world['substrate']['nodes']}: {', '.join(told)}."
 
     def _frames_per_horizon(self, study: Study, store: CellStore, world: Point) -> float:
         runs = store.read(study.evaluation(AGENT, world))["metrics"].values()

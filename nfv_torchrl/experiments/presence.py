@@ -34,7 +34,8 @@ class PresenceProbability:
                 rows.append(tidy_row("workloads", slot, seen, panel=panel, cell=cell.key))
         figure = panel_figure(
             rows,
-            title=f"Users still present (1/e = 37 % after t = μ)\n{study.about()}",
+            title="Users still present (1/e = 37 % after t = μ)",
+            caption=study.about(agents=False),
             x_label="time since arrival t (s)",
             y_label="share of users still present",
             like={"exp(-t/μ)": "exp(-t/μ)"},

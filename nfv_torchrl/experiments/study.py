@@ -22,6 +22,9 @@ Point = dict[str, Any]
 PLACES = {"nodes": ("substrate", "nodes")}
 """Where a changed value is, if not at the top."""
 AGENT = "dqn_ar"
+HASTY = "quick"
+"""The budget with which agents hardly learn."""
+SHORT = {"nodes": "N", "arrival_rate": "λ", "mean_lifetime": "μ"}
 NO_MATTER = ("scenario", "run_dir", "resume", "device", "logger", "saving")
 
 
@@ -154,22 +157,38 @@ class Study:
             self._configs[name, overrides] = {key: config[key] for key in config if key not in NO_MATTER}
         return self._configs[name, overrides]
 
-    def about(self) -> str:
-        """What every title says: the effort behind the figure."""
-        frames = self.budget["frames"].items() if self.budget["trained_colocation"] else ()
-        trained = ", ".join(f"{show(name)} {n:,}" for name, n in frames if name in self.trained)
+    def about(self, agents: bool = True) -> str:
+        """What every caption says: the effort behind the figure, and where agents are missing and why.
+
+        Args:
+            agents: whether the figure shows trained methods.
+        """
+        budget = self.budget
         seeds = f"{len(self.seeds)} workload seeds" if len(self.seeds) > 1 else "1 workload seed"
         seen = "seen" if self.base["observe_lifetime"] else "hidden"
-        trained = f", training frames: {trained}" if trained else ""
-        limits = ["with colocation off"] if self.budget["trained_colocation"] == [False] else []
-        limits += ["not at every point"] if any(self.budget["trained_points"].values()) else []
-        trained += f" ({', '.join(limits)})" if limits and trained else ""
-        if self._mask is not None:
-            trained += f", {show(AGENT)} under the {self._mask} mask"
-        return (
-            f"{self.budget['name']} budget: {seeds}, scenario seed {self.base['seed']}{trained}; "
-            f"T = {self.base['horizon']} s, lifetimes {seen}"
+        told = [
+            f"Budget {budget['name']}: {seeds} (bars and bands: 95 % intervals), scenario seed {self.base['seed']}, "
+            f"T = {self.base['horizon']} s, lifetimes {seen}."
+        ]
+        if not agents or not self.trained or not budget["trained_colocation"]:
+            return " ".join(told)
+        preview = (
+            "PREVIEW: agents have hardly learnt; use budget=full to judge them.\n" if budget["name"] == HASTY else ""
         )
+        return preview + " ".join([*told, *self._about_agents()])
+
+    def _about_agents(self) -> list[str]:
+        budget = self.budget
+        frames = ", ".join(f"{show(name)} {n:,}" for name, n in budget["frames"].items() if name in self.trained)
+        told = [f"Training frames: {frames}."]
+        if self._mask is not None:
+            told.append(f"{show(AGENT)} acts under the {self._mask} mask.")
+        lacking = [f"{SHORT[key]} = {_listed(points)}" for key, points in budget["trained_points"].items() if points]
+        if lacking:
+            told.append(f"To save time this budget trains agents only at {'; '.join(lacking)}.")
+        if budget["trained_colocation"] == [False]:
+            told.append("Agents are trained for colocation off only.")
+        return told
 
     def _run(
         self,
@@ -198,6 +217,10 @@ LABELS = {"dqn_ar": "DQN-AR", "nfvdeep": "NFVdeep"}
 def show(name: str) -> str:
     """What figures call a method."""
     return LABELS.get(name, name)
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values)
 
 
 def _label(name: str, world: Point) -> str:

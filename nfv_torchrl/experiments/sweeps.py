@@ -55,7 +55,8 @@ class Sweep:
         figure = panel_figure(
             rows,
             below=[row for row in paired if row["metric"] == "gap_closed" and row["reference"] == self._bound(study)],
-            title=f"{METRICS[self.metric]} over {self.label}{self._fixed(study)}\n{study.about()}",
+            title=f"{METRICS[self.metric]} over {self.label}{self._fixed(study)}",
+            caption=study.about(),
             x_label=self.label,
             y_label=METRICS[self.metric],
             ticks=ticks,

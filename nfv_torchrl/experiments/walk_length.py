@@ -9,7 +9,7 @@ from nfv_torchrl.evaluation.figures import STYLE, tidy_row
 from nfv_torchrl.evaluation.looks import looks
 from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.experiments.cells import Cell, CellStore
-from nfv_torchrl.experiments.drawing import Drawn, set_title
+from nfv_torchrl.experiments.drawing import Drawn, mathematics, set_caption, set_title
 from nfv_torchrl.experiments.rows import Rows, setting, values
 from nfv_torchrl.experiments.study import AGENT, Point, Study, show
 
@@ -37,7 +37,7 @@ class RewardAndWalkLength:
                 rows.append(tidy_row(name, place, mean_interval(values(result, metric)), **more))
         where = f"N = {world['substrate']['nodes']}, λ = {world['arrival_rate']:g}/s, μ = {world['mean_lifetime']:g} s"
         head = f"Reward and length of the walk, {where}, ρ = {study.rho(world):.2f}, colocation off"
-        return Drawn(_bars(rows, f"{head}\n{study.about()}"), rows)
+        return Drawn(_bars(rows, head, study.about()), rows)
 
     def _world(self, study: Study) -> Point:
         return study.world(colocation=False)
@@ -52,11 +52,12 @@ class RewardAndWalkLength:
         return runs
 
 
-def _bars(rows: Rows, title: str) -> Figure:
+def _bars(rows: Rows, title: str, caption: str) -> Figure:
     names = list(dict.fromkeys(row["series"] for row in rows))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(12, 0.6 * len(names) + 1.8), layout="constrained")
         set_title(figure, title)
+        set_caption(figure, caption)
         grid = figure.subplots(1, len(PANELS), sharey=True)
         grid[0].invert_yaxis()
         for axes, (metric, label) in zip(grid, PANELS.items(), strict=True):
@@ -65,6 +66,6 @@ def _bars(rows: Rows, title: str) -> Figure:
             places = [names.index(row["series"]) for row in mine]
             colours = [looks([row["series"].partition(":")[0]]).popitem()[1].colour for row in mine]
             axes.barh(places, [row["mean"] for row in mine], xerr=arms, color=colours, alpha=0.75, capsize=3)
-            axes.set_yticks(range(len(names)), names)
+            axes.set_yticks(range(len(names)), [mathematics(name) for name in names])
             axes.set_xlabel(label)
     return figure
