@@ -73,6 +73,9 @@ def line_figure(
             points = [row for row in rows if row["series"] == series]
             draw_series(axes, points, series, look._replace(line="--") if series in dashed else look)
         axes.set(xlabel=x_label, ylabel=y_label, title=title)
+        if any(abs(row["x"]) >= 10_000 for row in rows):
+            axes.xaxis.set_major_formatter("{x:,.0f}")
+            axes.tick_params("x", labelsize=9)
         if rows:
             figure.legend(loc="outside lower center", ncols=4, fontsize=9)  # beside the lines, not on them
     return figure

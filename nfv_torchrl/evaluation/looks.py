@@ -44,7 +44,7 @@ LOOKS: dict[str, Look] = {
     "iqn": Look("#44AA99", "X"),
     "rainbow": Look("#CC3311", "*"),
     "paper_literal": Look("#8C564B", "h"),
-    "noisy": Look("#6F4FC4", "d"),
+    "noisy": Look("#8B0000", "d"),
     "discrete_sac": Look("#999933", "<"),
     "gru": Look("#1F4E3D", ">"),
     "rdpg": Look("#EE3377", "p"),

@@ -126,6 +126,8 @@ def panel_figure(
         for column, panel in enumerate(panels):
             draw(grid[0, column], [row for row in rows if row["panel"] == panel])
             grid[0, column].set_title(mathematics(panel), fontsize=10)
+            if y_label == "AAR":
+                end_at_one(grid[0, column])
             if not isinstance(y_label, str):
                 grid[0, column].set_ylabel(mathematics(y_label[panel]))
             if below:
@@ -169,9 +171,17 @@ def mathematics(text: str) -> str:
 
 
 def _broken(figure: Figure, text: str, letters_per_inch: int) -> str:
+    text = re.sub(r" = (\S+)( s\b)?", lambda found: found[0].replace(" ", "\u00a0"), text)  # stays on one line
     width = int(letters_per_inch * figure.get_figwidth())
     lines = [line for part in text.split("\n") for line in textwrap.wrap(part, width, break_on_hyphens=False)]
     return mathematics("\n".join(lines))
+
+
+def end_at_one(axes: Any) -> None:
+    """A share is 1 at most, and so is its axis, but for the room of a marker."""
+    low, high = axes.get_ylim()
+    if high > 1:
+        axes.set_ylim(low, max(1, 1 + 0.02 * (1 - low)))
 
 
 def _say_instead(axes: Any, text: str) -> None:

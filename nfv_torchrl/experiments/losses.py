@@ -108,7 +108,8 @@ def _effort_rows(name: str, trainings: Sequence[Cell], store: CellStore) -> Rows
         "training_frames": mean_interval(frames),
         "training_seconds": mean_interval([result.get("processor_seconds", math.nan) for result in results]),
     }
-    return [result_row({}, name, metric, interval) for metric, interval in found.items() if interval.n]
+    plain = {metric: Interval(each.mean, math.nan, math.nan, each.n) for metric, each in found.items() if each.n}
+    return [result_row({}, name, metric, interval) for metric, interval in plain.items()]
 
 
 def loss_table(rows: Rows, config: Mapping[str, Any], scenario: Scenario) -> Table:
@@ -120,8 +121,8 @@ def loss_table(rows: Rows, config: Mapping[str, Any], scenario: Scenario) -> Tab
     )
     others = (config["reference"], FLOOR)
     differences = [Column("aar_difference", "+.4f", reference=to, title=f"AAR - {to}") for to in others]
-    effort = [Column("training_frames", ",.0f"), Column("training_seconds", ",.0f")]
-    columns = [Column("aar", ".4f"), Column("aar_iqm", ".4f"), *differences, Column(COST, ".1f"), *effort]
+    scores_of = [Column("aar", ".4f"), Column("aar_iqm", ".4f")]
+    columns = [*scores_of, *differences, Column(COST, ".1f"), Column("training_seconds", ",.0f")]
     return pivot(title, rows, {"method": ""}, columns)
 
 
@@ -166,7 +167,7 @@ def draw_profiles(figure: str, names: Sequence[str], compared: Compared, scenari
         for name, table in found.items()
         for tau, share in zip(taus, performance_profile(table, taus), strict=True)
     ]
-    labels = {"x_label": r"AAR $\tau$", "y_label": r"share of runs and workloads with AAR > $\tau$"}
+    labels = {"x_label": r"AAR $\tau$", "y_label": r"share of scores above $\tau$"}
     drawn = line_figure(rows, **labels, title=f"Performance profiles, {_where(scenario)}", dashed=list(rules))
     save_figure(drawn, rows, store.folder / f"profiles_{figure}")
 

@@ -66,7 +66,7 @@ def test_the_table_pairs_training_seeds(output):
     assert float(rows["dqn", "aar_iqm", ""]["mean"]) == pytest.approx(0.75)
     assert float(rows["dqn", "training_seconds", ""]["mean"]) == 101
     text = (output / "losses.md").read_text()
-    assert "| n_step | 0.7550 ± " in text and "| greedy | 0.6500 | 0.6500 | – | +0.0500 | 500.0 | – | – |" in text
+    assert "| n_step | 0.7550 ± " in text and "| greedy | 0.6500 | 0.6500 | – | +0.0500 | 500.0 | – |" in text
     assert "rho = " in text and "Not there yet: n_step: training seed 1." in text
 
 

@@ -64,7 +64,11 @@ def drawn(tmp_path_factory):
 def words(figure) -> str:
     """Title, caption and tick labels."""
     ticks = (label.get_text() for axes in figure.axes for label in axes.get_xticklabels())
-    return " ".join([figure.get_suptitle(), *(text.get_text() for text in figure.texts), *ticks]).replace("\n", " ")
+    return (
+        " ".join([figure.get_suptitle(), *(text.get_text() for text in figure.texts), *ticks])
+        .replace("\n", " ")
+        .replace("\u00a0", " ")
+    )
 
 
 def test_the_papers_figures_are_there(drawn):
