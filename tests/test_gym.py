@@ -1,9 +1,11 @@
 """The Gymnasium environment: the interface, and the same world as ``NFVEnv``."""
 
 import importlib
+import re
 import sys
 import warnings
 from functools import partial
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -315,6 +317,18 @@ def test_the_benchmark_has_a_row_for_each_way():
     ways = [("gymnasium.make", 1), ("DummyVecEnv", 4), ("SB3VecEnv", 4)]
     assert [(row["environments"], row["B"]) for row in rows] == ways
     assert all(value > 0 for row in rows for name, value in row.items() if "," in name)
+
+
+def test_the_page_prints_what_works():
+    page = (Path(__file__).parents[1] / "docs" / "gymnasium.md").read_text()
+    examples = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    here: dict = {}
+    for example in examples:
+        exec(example, here)
+    assert len(examples) == 5
+    assert here["model"].num_timesteps == 4096
+    assert here["picture"].shape == (440, 540, 3)
+    assert here["data"]["action_mask"].any(-1).all()
 
 
 def test_without_stable_baselines_there_is_one_line(monkeypatch):

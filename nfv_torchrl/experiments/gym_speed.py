@@ -31,7 +31,7 @@ def run_gym(config: dict[str, Any]) -> Iterator[dict[str, Any]]:
         ways: list[tuple[str, int, Callable[[], Any]]] = [("gymnasium.make", 1, partial(_single, scenario))]
         for batch in config["batch_sizes"]:
             if batch > 1:
-                single = [partial(NFVGymEnv, scenario, seed=b) for b in range(batch)]
+                single: list[Callable[[], gymnasium.Env]] = [partial(NFVGymEnv, scenario, seed=b) for b in range(batch)]
                 ways.append(("DummyVecEnv", batch, partial(DummyVecEnv, single)))
                 ways.append(("SB3VecEnv", batch, partial(_together, SB3VecEnv, batch, scenario)))
         for name, batch, make in ways:

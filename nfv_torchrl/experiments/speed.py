@@ -8,7 +8,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from tensordict import TensorDictBase
 from torchrl.collectors import Collector
+from torchrl.data import Composite
+from torchrl.envs import EnvBase
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.runner import scenario_for
@@ -77,21 +80,51 @@ def run_env(config: dict[str, Any]) -> Iterator[Row]:
 
 
 def run_collector(config: dict[str, Any]) -> Iterator[Row]:
+    """``NFVEnv`` in a collector, and what is the collector's own part: the same with an ``IdleEnv``."""
     for nodes, batch, scenario, steps in batches(config, COLLECTED):
         env = loaded_env(config, batch, scenario)
-        # One device for all, as in the recipes: without one, TorchRL casts every key twice in every step. The batch is
-        # read before the next one is collected, so it need not be copied.
-        collector = Collector(env, RandomPolicy(), frames_per_batch=COLLECTED * batch, total_frames=-1, device="cpu",
-                              auto_register_policy_transforms=False, track_traj_ids=False,
-                              return_same_td=True)  # fmt: skip
-        data = iter(collector)
+        (cpu, wall), (idle, _) = (_collect(config, each, steps) for each in (env, IdleEnv(env)))
+        yield {
+            "N": nodes,
+            "B": batch,
+            "frames/s": cpu,
+            "frames/s (wall)": wall,
+            "idle env, frames/s": idle,
+            "VM use after": vm_use(env.simulator),
+        }
 
-        def count(data=data, steps=steps) -> int:
-            return sum(next(data).numel() for _ in range(steps // COLLECTED))
 
-        cpu, wall = median_rates(config, count)
-        yield {"N": nodes, "B": batch, "frames/s": cpu, "frames/s (wall)": wall, "VM use after": vm_use(env.simulator)}
-        collector.shutdown()
+def _collect(config: dict[str, Any], env: EnvBase, steps: int) -> tuple[float, float]:
+    # One device for all, as in the recipes: without one, TorchRL casts every key twice in every step. The batch is
+    # read before the next one is collected, so it need not be copied.
+    collector = Collector(env, RandomPolicy(), frames_per_batch=COLLECTED * env.batch_size[0], total_frames=-1,
+                          device="cpu", auto_register_policy_transforms=False, track_traj_ids=False,
+                          return_same_td=True)  # fmt: skip
+    data = iter(collector)
+    rates = median_rates(config, lambda: sum(next(data).numel() for _ in range(steps // COLLECTED)))
+    collector.shutdown()
+    return rates
+
+
+class IdleEnv(EnvBase):
+    """An environment that does nothing: copies of the first observation and mask of ``env``, no ``outcome``."""
+
+    def __init__(self, env: EnvBase) -> None:
+        super().__init__(device=env.device, batch_size=env.batch_size)
+        self._shown = env.reset().select("observation", "action_mask", "done", "terminated")
+        seen = {key: env.observation_spec[key].clone() for key in ("observation", "action_mask")}
+        self.observation_spec = Composite(seen, shape=env.batch_size)
+        self.action_spec, self.reward_spec = env.action_spec.clone(), env.reward_spec.clone()
+        self.done_spec = env.full_done_spec.clone()
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        return self._shown.clone()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return self._shown.clone().set("reward", self.reward_spec.zero())
+
+    def _set_seed(self, seed: int | None) -> None:
+        pass
 
 
 def run_methods(config: dict[str, Any]) -> Iterator[Row]:
