@@ -92,6 +92,9 @@ class NFVEnv(LeanEnv):
         ScenarioError: scenarios that do not fit together, or a batch size of several dimensions.
     """
 
+    first = 0
+    """Number of its first environment among all of a training that has more in other processes; set before a reset."""
+
     def __init__(
         self,
         scenarios: Scenario | Sequence[Scenario],
@@ -210,7 +213,7 @@ class NFVEnv(LeanEnv):
             episode = int(self._episode[b])
             self.simulator.start(b, *self._arrivals(b, episode))
             if self._loader is not None:
-                rng = generator(self._seed, Stream.START, b, episode)
+                rng = generator(self._seed, Stream.START, self.first + b, episode)
                 start_slot = int(rng.integers(self.simulator.scenario(b).horizon))
                 self._loader.forward(b, start_slot, rng)
                 self._leave_at[b] = start_slot + (self.segment or 0)
@@ -220,8 +223,8 @@ class NFVEnv(LeanEnv):
     def _arrivals(self, b: int, episode: int):
         scenario = self.simulator.scenario(b)
         return (
-            scenario.workload(self._seed, b, episode),
-            scenario.failure_timeline(self._seed, b, episode),
+            scenario.workload(self._seed, self.first + b, episode),
+            scenario.failure_timeline(self._seed, self.first + b, episode),
         )
 
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:

@@ -20,7 +20,6 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torchrl.checkpoint import GlobalRNGState
-from torchrl.collectors import Collector
 from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule
 
@@ -30,8 +29,8 @@ from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import DqnSettings, read_settings
 from nfv_torchrl.training.cli import recipe
+from nfv_torchrl.training.collecting import World
 from nfv_torchrl.training.disk import check_room
-from nfv_torchrl.training.env_state import EnvState
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import falling_rate, gradient_step, target_updater
 from nfv_torchrl.training.logger import RunLogger
@@ -70,14 +69,9 @@ def main(cfg: DictConfig) -> None:
     environment = partial(decisions.environment, loss=loss, reward=instantiate(cfg.reward), one_hot=cfg.one_hot)
     rows = some_rows(loss, environment(worlds[0], 1), steps=cfg.collector.steps)
     item = check_replay(loss, rows, config["buffer"], size=cfg.buffer.size)  # bytes
-    env = environment(
-        worlds,
-        cfg.collector.num_envs,
-        stagger=cfg.stagger,
-        segment=cfg.segment,
-        seed=cfg.seed,
-        threads=cfg.env_threads,
-    )
+    start = {"stagger": cfg.stagger, "segment": cfg.segment, "seed": cfg.seed, "threads": cfg.env_threads}
+    collector = instantiate(cfg.collector)
+    collector.prepare(World(partial(environment, **start), worlds, cfg.seed))
     # Made anew for each evaluation: a compiled method keeps the weights that it was made with.
     method = partial(decisions.method, loss, one_hot=cfg.one_hot)
 
@@ -108,24 +102,14 @@ def main(cfg: DictConfig) -> None:
         "optimizer": optimizer,
         "updater": updater,
         "buffer": MemoryState(buffer, rows),
-        "env": EnvState(env),
+        "env": collector,
         "window": window,
         "progress": progress,
         "rng": GlobalRNGState(),
     }
     # Before the collector, whose first reset starts the horizons of a new environment and goes on in a loaded one.
     folder.load(state)
-    collector = Collector(
-        env,
-        policy,
-        frames_per_batch=frames_per_batch,
-        total_frames=-1,
-        policy_device=device,
-        env_device="cpu",
-        storing_device="cpu",
-        auto_register_policy_transforms=False,
-        track_traj_ids=False,
-    )
+    batches = collector.start(policy, device)
     iterations = cfg.collector.total_frames // frames_per_batch
     check_room(folder.path, state, config, iterations=iterations, memory=cfg.buffer.size * item)
     folder.open()  # after all that may be refused: an older run there is set aside
@@ -133,7 +117,6 @@ def main(cfg: DictConfig) -> None:
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
     evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
     bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations)
-    batches = iter(collector)
     folder.load_random_numbers(state)  # making the parts above drew some
     learning = TensorDict()  # what the last update said
 
@@ -142,7 +125,11 @@ def main(cfg: DictConfig) -> None:
             explore.eps.fill_(epsilon(progress.frames))
             if beta is not None:
                 buffer.sampler.beta = beta(progress.frames)
-            data = next(batches)
+            collector.send_policy()
+            data = next(batches, None)
+            if data is None:  # a worker failed; all else is saved
+                stop.asked = True
+                break
             progress.iteration += 1
             progress.frames += data.numel()
             window.add(data)
@@ -173,8 +160,8 @@ def main(cfg: DictConfig) -> None:
         evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
     folder.save(state, progress.frames)
     logger.close()
-    collector.shutdown()
     folder.print_ending(interrupted=stop.asked)
+    collector.shutdown()  # says what failed
 
 
 if __name__ == "__main__":

@@ -83,7 +83,7 @@ def test_any_value_of_any_key_is_taken_or_refused_in_one_line(name):
         ("dqn", ["network.hidden=[-1]"], r"network.hidden\[0\]: -1 where"),
         ("dqn", ["exploration.over=0"], "exploration.over: 0 where"),
         ("dqn", ["eval.seeds=[a]"], r"eval.seeds: \['a'\] where a number of seeds"),
-        ("dqn", ["+buffer.sampler=x"], "buffer.sampler: unknown key; known keys: size, batch_size, warmup_frames"),
+        ("dqn", ["+buffer.samplr=x"], "buffer.samplr: unknown key; did you mean 'sampler'"),
         ("dqn", ["+loss.gama=1"], "loss.gama: unknown key; did you mean 'gamma'"),
         ("dqn", ["loss._target_=nfv_torchrl.losses.Nope"], "loss._target_: 'nfv_torchrl.losses.Nope' cannot be import"),
         ("dqn", ["loss._target_=os.sep"], "loss._target_: 'os.sep' is no class or function"),

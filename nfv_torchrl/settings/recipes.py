@@ -60,6 +60,7 @@ Decisions = Annotated[Mapped, Target()]
 Exploration = Annotated[Mapped, Target("frames", partial=True)]
 Updater = Annotated[Mapped, Target("loss_module", partial=True)]
 Networks = Annotated[Mapped, Target("scenario", partial=True)]
+Collector = Annotated[Mapped, Target(has=("prepare", "start"))]
 Storage = Annotated[Mapped, Target("max_size", has=("get", "set"))]
 Sampler = Annotated[Mapped, Target("max_capacity", has=("sample", "state_dict"))]
 Writer = Annotated[Mapped, Target(has=("extend", "state_dict"))]
@@ -69,15 +70,6 @@ Overrides = tuple[str, ...]
 Nodes = Annotated[int, Exact(), Bounds(at_least=2)]
 Some = NotEmpty()
 Colocations = Annotated[tuple[bool, ...], Some]
-
-
-@dataclass(frozen=True)
-class Collector:
-    """Environments that act at the same time, and for how long."""
-
-    num_envs: Count
-    steps: Count
-    total_frames: Count
 
 
 @dataclass(frozen=True)
@@ -176,16 +168,16 @@ class DqnSettings(Run):
                 f"buffer.batch_size: {self.buffer.batch_size} is more than the memory holds; use buffer.size="
                 f"{self.buffer.size} at most, or a larger memory"
             )
-        if self.collector.num_envs > self.buffer.size:
+        num_envs, steps = self.collector["num_envs"], self.collector["steps"]
+        if num_envs > self.buffer.size:
             raise ScenarioError(
-                f"buffer.size: {self.buffer.size} where each batch brings at least {self.collector.num_envs} rows "
+                f"buffer.size: {self.buffer.size} where each batch brings at least {num_envs} rows "
                 "(collector.num_envs); use a larger memory"
             )
         burn_in = self.loss.get("burn_in", 0)
-        if burn_in >= self.collector.steps:
+        if burn_in >= steps:
             raise ScenarioError(
-                f"loss.burn_in: {burn_in} steps of sequences that have {self.collector.steps}; use less, or more "
-                "collector.steps"
+                f"loss.burn_in: {burn_in} steps of sequences that have {steps}; use less, or more collector.steps"
             )
 
 

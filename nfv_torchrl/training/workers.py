@@ -1,0 +1,83 @@
+"""What runs in a worker process: its part of the environments, with a collector that can say where it is."""
+
+from __future__ import annotations
+
+import pickle
+import signal
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.collectors import Collector
+
+from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.training.env_state import EnvState
+
+
+@dataclass
+class Part:
+    """A worker's part of the environments; calling it makes them.
+
+    Args:
+        make_env: of scenarios and a batch size.
+        scenarios: where the environments live, in turn.
+        size: number of environments.
+        first: number of the first of them among all.
+        random: torch's random numbers that the worker begins with.
+        state: of its environments, to go on from; None: they begin anew.
+    """
+
+    make_env: Callable[[Sequence[Scenario], int], NFVEnv]
+    scenarios: Sequence[Scenario]
+    size: int
+    first: int
+    random: Tensor
+    state: Mapping[str, Any] | None
+
+    def __call__(self) -> NFVEnv:
+        """The environments, with ``random_numbers`` for the collector."""
+        env = self.make_env(self.scenarios, self.size)
+        env.first = self.first
+        env.random_numbers = self.random
+        if self.state is not None:
+            EnvState(env).load_state_dict(self.state)
+        return env
+
+
+class WorkerCollector(Collector):
+    """A collector that begins with the random numbers of its part, and whose state is all that it goes on from."""
+
+    _began = False
+
+    def rollout(self) -> TensorDictBase:
+        """The next batch."""
+        if not self._began:
+            # As late as can be: making the collector draws some. Ctrl-C is for the main process, which ends this one.
+            _ignore_interrupts()
+            torch.set_rng_state(self.env.random_numbers)
+            self._began = True
+        return super().rollout()
+
+    def state_dict(self) -> OrderedDict:
+        """Environments and random numbers as one tensor of bytes, which any channel carries."""
+        state = {"env": EnvState(self.env).state_dict(), "random": torch.get_rng_state()}
+        return OrderedDict(state=torch.from_numpy(np.frombuffer(pickle.dumps(state), np.uint8).copy()))
+
+
+def unpack_worker(state: Mapping[str, Any]) -> dict[str, Any]:
+    """What ``WorkerCollector.state_dict`` packed; it comes from a process of this run, so it may be a pickle."""
+    return pickle.loads(state["state"].numpy().tobytes())
+
+
+def _ignore_interrupts() -> None:
+    try:
+        for number in (signal.SIGINT, signal.SIGUSR1):
+            signal.signal(number, signal.SIG_IGN)
+    except ValueError:  # Ray's actors work in threads, and Ray sees to signals itself
+        pass
