@@ -172,9 +172,12 @@ class MultiSync(Single):
 
     def send_policy(self) -> None:
         """See ``Single``; epsilon is one of the policy's numbers."""
+        assert self.collector is not None
         if self.failure is None:
-            assert self.collector is not None
-            self.collector.update_policy_weights_()
+            try:
+                self.collector.update_policy_weights_()
+            except Exception as error:  # whatever the end of a process turns into
+                self.failure = error
 
     def _share(self, number: int) -> tuple[list[Scenario], int, int]:
         """Scenarios and number of environments of a worker, and the number of its first."""
@@ -200,8 +203,16 @@ class MultiSync(Single):
     def _ask(self) -> list[dict[str, Any]]:
         if self.collector is None:
             return []
-        states = self.collector.state_dict()
-        return [unpack_worker(states[f"worker{number}"]) for number in range(self.workers)]
+        try:
+            states: Any = self.collector.state_dict()
+        except Exception as error:  # lost since the last batch
+            self.failure = error
+            return []
+        return [unpack_worker(states[key]) for key in self._keys()]
+
+    def _keys(self) -> Sequence[Any]:
+        """Where the state of each worker is in that of the collector."""
+        return [f"worker{number}" for number in range(self.workers)]
 
     def _open(self, policy: TensorDictModuleBase, device: torch.device) -> BaseCollector:
         return self._workers(MultiSyncCollector, policy, device, self.num_envs * self.steps, cat_results=0)
@@ -226,13 +237,14 @@ class MultiSync(Single):
 
     def _batches(self) -> Iterator[TensorDictBase]:
         assert self.collector is not None
-        try:
-            for batch in self.collector:
+        deliveries = iter(self.collector)
+        while self.failure is None:
+            try:
+                batch = next(deliveries)
+            except Exception as error:
+                self.failure = error
+            else:
                 yield self._whole(batch)
-        except GeneratorExit:
-            raise
-        except Exception as error:  # whatever the end of a process turns into
-            self.failure = error
 
     def _whole(self, batch: TensorDictBase) -> TensorDictBase:
         return batch
@@ -347,14 +359,8 @@ class Ray(MultiSync):
             sync=True,
         )
 
-    def _ask(self) -> list[dict[str, Any]]:
-        if self.collector is None:
-            return []
-        try:
-            return [unpack_worker(state) for state in self.collector.state_dict()]
-        except self._ray.exceptions.RayError as error:
-            self.failure = error  # lost since the last batch
-            return []
+    def _keys(self) -> Sequence[Any]:
+        return range(self.workers)
 
     def _whole(self, batch: TensorDictBase) -> TensorDictBase:
         return batch.flatten(0, 1)
