@@ -104,7 +104,7 @@ def test_what_is_seen_by_hand():
     state, row = flat[: shape.state], flat[shape.state : shape.state + shape.row]
     assert flat.shape == (shape.size,) and not flat[shape.state + shape.row :].any()  # the second walk is the first
     # Chains load 30 and 20 Mcycles/s: 25 on average.
-    assert state[STATE.demand] == pytest.approx(30 / 25) and state[STATE.stay] == 1.0 and state[STATE.sees] == 0.0
+    assert state[STATE.demand] == pytest.approx(30 / 25) and state[STATE.stay] == 1.0
     assert state[STATE.near] == pytest.approx(295 / 1050)
     assert state[STATE.vm_used] == 0.0 and state[STATE.offered_walks] == 0.5
     # 15 Mbit/s leave node 0; the mean rate is 1.5 Mbit/s.

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from nfv_torchrl.networks.base import QNetwork, Sizes
 from nfv_torchrl.networks.layers import perceptron
-from nfv_torchrl.observations.menu import ROW, STATE, MenuShape
+from nfv_torchrl.observations.menu import FACTORS, ROW, MenuShape
 from nfv_torchrl.settings.values import Activation, NotNegative, OneOf, Width
 
 FORMS = ("price", "free")
@@ -62,8 +62,9 @@ class MenuNetwork(QNetwork):
         self.outputs, self.form = outputs, form
         self.w_acc, self.w_cost = float(w_acc), float(w_cost)
         self.shape = MenuShape.of(sizes.services, sizes.actions - 1)
-        self.value = perceptron(self.shape.state, outputs, hidden, activation)
-        self.price = perceptron(self.shape.state + self.shape.row, outputs, hidden, activation)
+        seen = self.shape.state - FACTORS
+        self.value = perceptron(seen, outputs, hidden, activation)
+        self.price = perceptron(seen + self.shape.row, outputs, hidden, activation)
         for layers in (self.value, self.price):
             nn.init.zeros_(layers[-1].weight)
             nn.init.zeros_(layers[-1].bias)
@@ -71,11 +72,11 @@ class MenuNetwork(QNetwork):
     def forward(self, observation: Tensor) -> Tensor:
         """Values of all walks and of reject, last."""
         state, rows = self._split(observation)
-        beside = state.unsqueeze(-2)
-        price = self.price(torch.cat([beside.expand(*rows.shape[:-1], -1), rows], -1))
+        factors, seen = state.unsqueeze(-2).split([FACTORS, self.shape.state - FACTORS], -1)
+        price = self.price(torch.cat([seen.expand(*rows.shape[:-1], -1), rows], -1))
         if self.form == "price":
-            price = price * (beside[..., STATE.demand, None] * beside[..., STATE.stay, None])
-        value = self.value(beside)
+            price = price * factors.prod(-1, keepdim=True)
+        value = self.value(seen)
         known = self.w_acc - self.w_cost * rows[..., ROW.regret, None]
         values = torch.cat([known + value - price, value], -2)
         return values.squeeze(-1) if self.outputs == 1 else values

@@ -22,6 +22,9 @@ PROBES = 64
 """Latest requests, with the one in hand, that say where room is needed."""
 LONGEST_STAY = 5.0
 """Lifetimes are seen up to this multiple of their mean."""
+AT_ONCE = 0.5
+"""Share of what a request of mean lifetime takes from others that it takes by coming, however short it stays: on a full
+network even a short stay displaces the next requests. The rest is in proportion to its lifetime."""
 MOST_REGRET = 5.0
 """Costs are seen up to this multiple above the least."""
 
@@ -30,10 +33,8 @@ class StateFeatures(NamedTuple):
     """Numbers of the network and the request."""
 
     demand: int  # load of the chain over the mean over services
-    stay: int  # lifetime over the mean lifetime, at most LONGEST_STAY; 1 where lifetimes are hidden
+    stay: int  # AT_ONCE, and the rest in proportion to the lifetime: see AT_ONCE; 1 where lifetimes are hidden
     log_demand: int
-    log_stay: int
-    sees: int  # 1 where lifetimes are seen
     rate: int  # log of the rate over the mean over services, over 4
     near: int  # least delay of hops from ingress to egress over the tolerable delay
     vm_used: int  # used share of all VMs
@@ -84,6 +85,8 @@ STATE = columns(StateFeatures)
 SERVICE = columns(ServiceFeatures)
 ROW = columns(RowFeatures)
 ROW_SERVICE = columns(RowServiceFeatures)
+FACTORS = 2
+"""The first columns of the state, which a price is multiplied by; perceptrons see the others."""
 SCALE = 8.0
 """Room is log(1 + what is free / reference) over this: 0 where nothing is left, 1 for 3000 references."""
 
@@ -121,6 +124,7 @@ class MenuView(NamedTuple):
     cut: np.ndarray  # int64 [N], free on the links of the node
     scarce: np.ndarray  # float64 [Q, N], least room of a request of the type that can reach the node
     ends: np.ndarray  # float64 [N], room on the links of the node if one of the latest requests ends there, else 1
+    reached: np.ndarray  # bool [N], nodes that one of the latest requests could use
     place: np.ndarray  # int64 [F, 3], node, VM and ledger units of each function of a walk
     seen: np.ndarray  # int64 [Q], how many of the latest requests are of each type
 
@@ -171,6 +175,7 @@ def make_menu_view(tables: Tables) -> MenuView:
         cut=np.zeros(nodes, np.int64),
         scarce=np.zeros((services, nodes)),
         ends=np.zeros(nodes),
+        reached=np.zeros(nodes, np.bool_),
         place=np.zeros((functions, 3), np.int64),
         seen=np.zeros(services, np.int64),
     )
@@ -238,12 +243,12 @@ def _measure_requests(world, b, own, state):
         request = (q, ingress, egress)
         free = 0
         for node in range(nodes):
-            if _can_reach(world, b, own, request, node):
-                free += own.usable[q, node]
+            own.reached[node] = _can_reach(world, b, own, request, node)
+            free += own.usable[q, node] * own.reached[node]
         room = _room(free, own.reference_load)
         for node in range(nodes):
-            if room < own.scarce[q, node] and _can_reach(world, b, own, request, node):
-                own.scarce[q, node] = room
+            if own.reached[node]:
+                own.scarce[q, node] = min(own.scarce[q, node], room)
         at = first + q * len(SERVICE)
         own.seen[q] += 1
         state[at + SERVICE.vm_room] = min(state[at + SERVICE.vm_room], room)
@@ -262,14 +267,12 @@ def _describe_state(world, b, own, menu, state):
     tables, e = world.tables, world.env[b]
     net, service = e.net, e.service
     mean = world.mean_lifetime[b]
-    stay = min(max(e.lifetime / mean, 0.01), LONGEST_STAY) if mean > 0.0 else 1.0
+    stay = AT_ONCE + (1.0 - AT_ONCE) * min(e.lifetime / mean, LONGEST_STAY) if mean > 0.0 else 1.0
     demand = own.chain_units[service] / own.reference_load
     used = e.vm_used / tables.vm_total[net]
     state[STATE.demand] = demand
     state[STATE.stay] = stay
     state[STATE.log_demand] = 0.5 * np.log(demand)
-    state[STATE.log_stay] = 0.5 * np.log(stay)
-    state[STATE.sees] = 1.0 if mean > 0.0 else 0.0
     state[STATE.rate] = np.log(tables.rate_units[service] / own.reference_rate) / 4.0
     state[STATE.near] = tables.delay_to[net, service, e.ingress, e.egress] / tables.tolerable_delay[service]
     state[STATE.vm_used] = used

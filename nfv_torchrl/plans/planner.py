@@ -18,7 +18,7 @@ from nfv_torchrl.losses.actors import scorer
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.networks.compiled import CompiledPerceptron, compiled_perceptron, score_row
 from nfv_torchrl.networks.menu import MenuNetwork
-from nfv_torchrl.observations.menu import ROW, STATE, MenuShape
+from nfv_torchrl.observations.menu import FACTORS, ROW, STATE, MenuShape
 from nfv_torchrl.planners.base import Planner
 from nfv_torchrl.planners.menu import LEVELS, STEEPNESS
 from nfv_torchrl.plans.menus import Menus
@@ -32,7 +32,7 @@ class Prices(NamedTuple):
     """A ``MenuNetwork`` as compiled code takes it: what decides between walks and reject; V is the same for all."""
 
     price: CompiledPerceptron
-    x: np.ndarray  # float32 [S + R]
+    x: np.ndarray  # float32, what the perceptron sees of the state and of a walk
     by_demand: bool  # whether the form is ``price``
     w_acc: float
     w_cost: float
@@ -45,14 +45,14 @@ def choose_rows(rows, menu, flat, shape, prices, choices):
     for r in range(rows.size):
         b = rows[r]
         best, highest = np.int64(shape.rows), 0.0
-        for i in range(shape.state):
-            prices.x[i] = flat[b, i]
+        for i in range(FACTORS, shape.state):
+            prices.x[i - FACTORS] = flat[b, i]
         for k in range(shape.rows):
             if not menu.mask[b, k]:
                 continue
             first = shape.state + k * shape.row
             for i in range(shape.row):
-                prices.x[shape.state + i] = flat[b, first + i]
+                prices.x[shape.state - FACTORS + i] = flat[b, first + i]
             price = np.float64(score_row(net.weights, net.sizes, net.activation, prices.x, net.now, net.after))
             if prices.by_demand:
                 price *= np.float64(flat[b, STATE.demand]) * np.float64(flat[b, STATE.stay])
@@ -133,5 +133,5 @@ def compiled_prices(actor: Any) -> Prices | None:
     except ScenarioError:
         return None
     shape: MenuShape = network.shape
-    x = np.zeros(shape.state + shape.row, np.float32)
+    x = np.zeros(shape.state - FACTORS + shape.row, np.float32)
     return Prices(price, x, network.form == "price", network.w_acc, network.w_cost)

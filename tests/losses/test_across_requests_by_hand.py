@@ -142,6 +142,25 @@ def test_the_running_mean_of_each_service():
     assert loss(loss.prepare(batch([0.0], [0])))["reward_rate"].item() == pytest.approx(0.375)
 
 
+def test_each_environment_has_means_of_its_own():
+    """Environment 0 earns 1 and 0 with service 0; environment 1 earns 3 with service 1 and 2 with service 0."""
+    loss = make("centred", TWO_SERVICES, gamma=0.5, double=False, by_service=True, environments=2)
+    rows = [batch([1.0, 0.0], [1, 1]), batch([3.0, 2.0], [1, 1], services=[1, 0])]
+    stored = loss.prepare(torch.cat(rows))
+    assert loss.rate.tolist() == [[0.5, 0.0], [2.0, 3.0]]
+    assert stored["next", "environment"].flatten().tolist() == [0, 0, 1, 1]
+    # 1 - 0.5, 0 - 0.5, 3 - 3 and 2 - 2, each with 0.5 * 0.6 ahead; Q(0, 1) is 0.25.
+    errors = [row_of(loss, row) for row in stored.split(1)]
+    assert errors == pytest.approx([0.8 - 0.25, 0.2 + 0.25, 0.3 - 0.25, 0.3 - 0.25])
+    loss.prepare(torch.cat(rows[::-1]))
+    assert loss.rate.flatten().tolist() == pytest.approx([1.0, 3.0, 1.0, 3.0], rel=1e-3)
+
+
+def row_of(loss, row) -> float:
+    """The size of the error of one transition."""
+    return loss(row)["td_error"].item()
+
+
 def test_the_differential_rate_follows_the_errors_at_the_ends_of_requests():
     loss = make("differential", rate_step=0.1, double=False)
     rows = loss.prepare(batch([0.0, 1.0, 0.0], [0, 1, 1]))
