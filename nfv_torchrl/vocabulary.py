@@ -68,6 +68,7 @@ class Quantity:
 
 _LOGGED: tuple[Place, ...] = ("train", "eval", "files")
 _LEARNER: tuple[Place, ...] = ("train",)
+_EVALUATION: tuple[Place, ...] = ("eval",)
 _SUMMARY: tuple[Place, ...] = ("summary",)
 _EVOLUTION: tuple[Place, ...] = ("train", "eval")
 _FIGURES: tuple[Place, ...] = ("figures",)
@@ -118,8 +119,8 @@ for _row in (
              details=True, train=("interrupted", "accepted")),
     Quantity("lost_service_time", SECONDS, "slots that the interrupted requests still had to run, in all",
              head="lost s", details=True),
-    Quantity("decision_seconds", SECONDS, "wall time of the decisions of the whole run", measured=True),
-    Quantity("decisions_per_second", "1/s", "requests answered per second of it", head="decisions/s",
+    Quantity("decision_seconds", SECONDS, "wall time of the decisions of the whole run", ("files",), measured=True),
+    Quantity("decisions_per_second", "1/s", "requests answered per second of it", ("files",), "decisions/s",
              measured=True),
     # Of two methods on the same requests, or of a method and a bound.
     Quantity("aar_iqm", SHARE, "interquartile mean of `aar` over training seeds and workloads", _SUMMARY, "AAR IQM"),
@@ -130,9 +131,18 @@ for _row in (
     Quantity("anuc_relative_difference", SHARE, "`anuc` minus that of the reference, / its mean", _FIGURES),
     Quantity("paired_cost", "ratio", "cost over that of the reference, over the requests that both accept",
              ("train", "eval", "summary"), "paired cost"),
+    Quantity("paired_cost/METHOD", "ratio", "the same, against `greedy` and `myopic_optimal`", _EVALUATION),
+    Quantity("aar_of/METHOD", SHARE, "`aar` of what a training is compared with, such as `bound`", _EVALUATION),
+    Quantity("cost_per_accepted_of/METHOD", DOLLARS, "`cost_per_accepted` of the same", _EVALUATION),
     Quantity("gap_closed", SHARE, "how much of the way in `aar` from `myopic_optimal` to a bound it goes", _SUMMARY,
              "gap closed"),
     Quantity("aar_bound", SHARE, "an upper bound on `aar`", _SUMMARY, "bound"),
+    # Of evaluations in a training, beside the metrics of a run.
+    Quantity("rejected_stacked/REASON", SHARE, "`rejected` of that reason and of those before it, added up",
+             _EVALUATION),
+    Quantity("steps/KIND", SHARE, "steps of walks: a hop with a placement (`place`), a hop (`forward`), a placement "
+             "without a hop (`stay`), a refusal (`reject`)", _EVALUATION),
+    Quantity("chosen_value", "", "the network's output for the actions taken, mean", _EVALUATION),
     # Of the learner: what the last update said.
     Quantity("loss", "", "what is minimised: the sum of the parts of the loss", _LEARNER),
     Quantity("gradient_norm", "", "norm of its gradient before clipping", _LEARNER),
@@ -175,6 +185,7 @@ for _row in (
     # How fast it goes.
     Quantity("frames_per_second", "1/s", "decisions per second of training, with all that it stops for", ("speed",)),
     Quantity("updates_per_second", "1/s", "updates per second that the learner is at work", ("speed",)),
+    Quantity("evaluation_seconds", SECONDS, "wall time of an evaluation, without its figures", ("speed",)),
     Quantity("requests_per_second", "1/s", "requests that evolution plays per second", ("speed",)),
     # More of a run, for figures.
     Quantity("mean_steps", "steps", "steps of an accepted request's walk, mean", _FIGURES),

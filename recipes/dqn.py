@@ -31,14 +31,15 @@ from nfv_torchrl.settings.recipes import DqnSettings, read_settings
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.collecting import World
 from nfv_torchrl.training.disk import check_room
+from nfv_torchrl.training.evaluating import evaluate_policy
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import falling_rate, gradient_step, target_updater
-from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.logger import METRICS, RunLogger
 from nfv_torchrl.training.memory import MemoryState
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
 from nfv_torchrl.training.room import check_any_size, check_compiler, check_environments
-from nfv_torchrl.training.run import RunFolder, evaluate_policy
+from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.setup import StopRequest, choose_device, make_loss, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
@@ -113,13 +114,15 @@ def main(cfg: DictConfig) -> None:
     iterations = cfg.collector.total_frames // frames_per_batch
     check_room(folder.path, state, config, iterations=iterations, memory=cfg.buffer.size * item)
     folder.open()  # after all that may be refused: an older run there is set aside
-    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
-    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
+    logger = RunLogger(folder, progress)
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
     evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
     bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations)
     folder.load_random_numbers(state)  # making the parts above drew some
     learning = TensorDict()  # what the last update said
 
+    if cfg.eval.interval and not progress.iteration:
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)  # untrained
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:
             explore.eps.fill_(epsilon(progress.frames))

@@ -64,7 +64,7 @@ def main(cfg: DictConfig) -> None:
     folder.load(state)
     check_room(folder.path, state, config, iterations=cfg.generations)
     folder.open()  # after all that may be refused: an older run there is set aside
-    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
+    logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/fitness", "eval/aar_gain", "eval/paired_cost"))
     evaluations = cfg.generations // cfg.eval.interval if cfg.eval.interval else 0
     bar = ProgressBar(total=cfg.generations, initial=strategy.generation, unit="generation", pauses=evaluations)

@@ -32,14 +32,15 @@ from nfv_torchrl.settings.recipes import OfflineSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
+from nfv_torchrl.training.evaluating import evaluate_policy
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
-from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.logger import METRICS, RunLogger
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.recording import Dataset
 from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
 from nfv_torchrl.training.room import check_compiler, check_environments
-from nfv_torchrl.training.run import RunFolder, evaluate_policy
+from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.sampler_state import SamplerState
 from nfv_torchrl.training.setup import StopRequest, choose_device, make_loss, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
@@ -132,12 +133,14 @@ def main(cfg: DictConfig) -> None:
         f"{len(buffer):,} transitions of {method.name} in {dataset.folder}, AAR {recorded.metrics()['train/aar']:.3f}"
     )
 
-    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
-    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted"))
+    logger = RunLogger(folder, progress)
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
     evaluations = cfg.learner.updates // cfg.eval.interval if cfg.eval.interval else 0
     bar = ProgressBar(total=cfg.learner.updates, initial=progress.updates, unit="update", pauses=evaluations)
     folder.load_random_numbers(state)  # making the parts above drew some
 
+    if cfg.eval.interval and not progress.updates:
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)  # untrained
     with StopRequest() as stop:
         while progress.updates < cfg.learner.updates and not stop.asked:
             started = time.perf_counter()

@@ -26,12 +26,13 @@ from nfv_torchrl.settings.recipes import PolicyGradientSettings, read_settings
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.env_state import EnvState
+from nfv_torchrl.training.evaluating import evaluate_policy
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
-from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.logger import METRICS, RunLogger
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.room import check_environments
-from nfv_torchrl.training.run import RunFolder, evaluate_policy
+from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.setup import StopRequest, choose_device, make_loss, seed_everything, set_threads
 from nfv_torchrl.training.window import TrainingWindow
 
@@ -92,13 +93,15 @@ def main(cfg: DictConfig) -> None:
     iterations = cfg.collector.total_frames // (cfg.collector.num_envs * cfg.collector.steps)
     check_room(folder.path, state, config, iterations=iterations)
     folder.open()  # after all that may be refused: an older run there is set aside
-    logger = RunLogger(folder.path, progress.frames if cfg.resume else None)
-    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/aar", "eval/cost_per_accepted", "train/aar"))
+    logger = RunLogger(folder, progress)
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
     evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
     bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations)
     batches = iter(collector)
     folder.load_random_numbers(state)  # making the parts above drew some
 
+    if cfg.eval.interval and not progress.iteration:
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)  # untrained
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:
             data = next(batches)

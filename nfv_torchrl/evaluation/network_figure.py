@@ -58,10 +58,14 @@ class Drawing(NamedTuple):
     place: dict[int, tuple[float, float]]
 
 
-def draw_utilisation(record: RunRecord) -> Figure:
-    """Nodes sized by VM capacity and coloured by VM use, links coloured by link use."""
+def draw_utilisation(record: RunRecord, name: str | None = None) -> Figure:
+    """Nodes sized by VM capacity and coloured by VM use, links coloured by link use.
+
+    ``name`` is that of the method in the title, as the record has it unless given.
+    """
     drawing = draw_network(record.scenario.substrate, *mean_use(record), "mean used share")
-    drawing.axes.set_title(f"{record.method} on {record.scenario.name}, workload {record.workload_seed}", fontsize=12)
+    title = f"{name or record.method} on {record.scenario.name}, workload {record.workload_seed}"
+    drawing.axes.set_title(title, fontsize=12)
     return drawing.figure
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from nfv_torchrl.codec import decode_action
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.records import FORWARD, NO_ACTION, REJECT, RunRecord
-from nfv_torchrl.methods import Method
+from nfv_torchrl.methods import Method, WholePlay
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
@@ -61,8 +61,8 @@ def run_method(
             shall not count.
 
     Returns:
-        S records in the order of ``seeds``. Their ``seconds`` are those within ``method.act`` alone: of the whole
-        batch, shared out by number of requests.
+        S records in the order of ``seeds``. Their ``seconds`` are those within ``method.act`` alone (of a
+        ``WholePlay``: of its plays, with the simulator's steps): of the whole batch, shared out by number of requests.
 
     Raises:
         ScenarioError: no seeds, a number of scenarios or workloads other than S, scenarios that do not go together.
@@ -108,6 +108,8 @@ def _run_together(
 
 def _play(simulator: Simulator, method: Method, progress: Progress | None, clock: Callable[[], float]) -> float:
     """Step all environments to the end of their horizons. Returns the seconds spent deciding."""
+    if isinstance(method, WholePlay):
+        return _play_whole(simulator, method, progress, clock)
     env = simulator.world.env
     seconds, steps, answered = 0.0, 0, 0
     while not env["done"].all():
@@ -125,6 +127,18 @@ def _play(simulator: Simulator, method: Method, progress: Progress | None, clock
     if progress is not None:
         progress(int(env["cursor"].sum()) - answered)
     return seconds
+
+
+def _play_whole(
+    simulator: Simulator, method: WholePlay, progress: Progress | None, clock: Callable[[], float]
+) -> float:
+    """The same, one environment after the other, each in a call. Returns the seconds of it all."""
+    begun = clock()
+    for b in range(simulator.batch_size):
+        method.play(simulator, b)
+        if progress is not None:
+            progress(int(simulator.world.env["cursor"][b]))
+    return clock() - begun
 
 
 def _record(

@@ -77,9 +77,16 @@ class Arena:
         self.workers = Joblib(jobs=1) if workers is None else workers
         self.weights = Weights(cost_weight, saving_weight, spread)
 
-    def scores(self, policies: Sequence[Evolvable], tasks: Sequence[Task]) -> list[list[Score]]:
-        """Every policy on every task: a list for each policy."""
-        baselines = list(self.workers.map(baseline, tasks))
+    def baselines(self, tasks: Sequence[Task]) -> list[Baseline]:
+        """What ``myopic_optimal`` does on every task."""
+        return list(self.workers.map(baseline, tasks))
+
+    def scores(
+        self, policies: Sequence[Evolvable], tasks: Sequence[Task], baselines: Sequence[Baseline] | None = None
+    ) -> list[list[Score]]:
+        """Every policy on every task: a list for each policy. ``baselines`` are those of the tasks, if they are known
+        already."""
+        baselines = self.baselines(tasks) if baselines is None else baselines
         games = [(policy, task, base) for policy in policies for task, base in zip(tasks, baselines, strict=True)]
         flat = list(self.workers.map(partial(score, weights=self.weights), games))
         size = len(tasks)

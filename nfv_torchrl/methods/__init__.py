@@ -1,7 +1,7 @@
 """How a policy acts: at random, by the plans of a planner, by a trained network, or as a policy file says."""
 
-from nfv_torchrl.methods.base import Method
-from nfv_torchrl.methods.compiled import CompiledCandidates, acting_method
+from nfv_torchrl.methods.base import Method, WholePlay
+from nfv_torchrl.methods.compiled import CompiledCandidates, CompiledMLP, acting_method, fastest_method
 from nfv_torchrl.methods.evolved import CandidatePolicy, Evolvable, PricePolicy
 from nfv_torchrl.methods.from_config import methods_from_config
 from nfv_torchrl.methods.planned import PlannerMethod
@@ -12,13 +12,16 @@ from nfv_torchrl.methods.random import RandomMethod
 __all__ = [
     "CandidatePolicy",
     "CompiledCandidates",
+    "CompiledMLP",
     "Evolvable",
     "Method",
     "PlannerMethod",
     "PolicyMethod",
     "PricePolicy",
     "RandomMethod",
+    "WholePlay",
     "acting_method",
+    "fastest_method",
     "load_policy",
     "load_weights",
     "methods_from_config",

@@ -6,7 +6,7 @@ A method of your own is any class with the attributes of ``Method``; in a recipe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -38,3 +38,11 @@ class Method(Protocol):
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """The next action of every environment, int64 [B]; it does not matter for one past its horizon."""
+
+
+@runtime_checkable
+class WholePlay(Protocol):
+    """A method that can also answer all requests of a horizon in one call, which a runner then prefers."""
+
+    def play(self, simulator: Simulator, b: int) -> None:
+        """Answer all requests of environment b, whose horizon has begun; ``prepare`` was called before."""

@@ -16,23 +16,31 @@ from nfv_torchrl.simulator.state import OUTCOME, World
 
 
 @part
-def _choose(world, b, to_go, references, weights, sizes, activation, row, now, after):
-    """The valid action of the highest score."""
+def _choose(world, b, to_go, references, weights, sizes, activation, row, now, after, values):
+    """The valid action of the highest score.
+
+    ``values`` float32 [2]: its score, and the highest of another valid action (NaN if there is none).
+    """
     best = np.int64(world.seen.valid[b, 0])
-    highest = -np.inf
+    values[0] = values[1] = np.float32(-np.inf)
     for k in range(world.env[b].mask_count):
         action = np.int64(world.seen.valid[b, k])
         row[:] = 0.0
         write_row(world, b, to_go, references, action, row)
         score = score_row(weights, sizes, activation, row, now, after)
-        if score > highest:
-            highest = score
+        if score > values[0]:
+            values[1] = values[0]
+            values[0] = score
             best = action
+        elif score > values[1]:
+            values[1] = score
+    if world.env[b].mask_count < 2:
+        values[1] = np.float32(np.nan)
     return best
 
 
 @kernel
-def play_candidates(world, b, to_go, references, weights, sizes, activation, row, now, after, costs):
+def play_candidates(world, b, to_go, references, weights, sizes, activation, row, now, after, values, costs):
     """Play environment b to the end of its horizon; ``costs`` float64 [R] as in ``planners.learned_prices``.
 
     Returns FINISHED, or NO_ROOM if the simulator's pools run low; call again to go on.
@@ -43,7 +51,7 @@ def play_candidates(world, b, to_go, references, weights, sizes, activation, row
             return NO_ROOM
         request = e.cursor
         while True:
-            action = _choose(world, b, to_go, references, weights, sizes, activation, row, now, after)
+            action = _choose(world, b, to_go, references, weights, sizes, activation, row, now, after, values)
             step_env(world, b, action)
             if world.outcome[b, OUTCOME.request_done] > 0.0:
                 break
@@ -52,10 +60,10 @@ def play_candidates(world, b, to_go, references, weights, sizes, activation, row
 
 
 @kernel
-def choose_candidates(world, to_go, references, weights, sizes, activation, row, now, after, actions):
-    """Fill ``actions`` int64 [B] with the valid action of the highest score of each environment."""
+def choose_candidates(world, to_go, references, weights, sizes, activation, row, now, after, actions, values):
+    """Fill ``actions`` int64 [B] with the valid action of the highest score of each environment, ``values`` [B, 2]."""
     for b in range(actions.size):
-        actions[b] = _choose(world, b, to_go, references, weights, sizes, activation, row, now, after)
+        actions[b] = _choose(world, b, to_go, references, weights, sizes, activation, row, now, after, values[b])
 
 
 class CandidatePlay:
@@ -66,8 +74,8 @@ class CandidatePlay:
     """
 
     def __init__(self, network: CandidateNetwork) -> None:
-        if network.outputs != 1:
-            raise ScenarioError("network: a compiled candidate network has one output")
+        if network.outputs != 1 or network.noisy:
+            raise ScenarioError("network: a compiled candidate network has one output and no noise")
         self._weights, self._sizes, self._activation, self._now, self._after = compiled_perceptron(network.layers)
 
     def prepare(self, world: World) -> None:
@@ -75,16 +83,21 @@ class CandidatePlay:
         self._to_go = finish_costs(world.tables, world.rules)
         self._references = reference_costs(world.tables, self._to_go)
         self._row = np.zeros(candidate_shape(world.tables)[1], np.float32)
+        self._values = np.zeros(2, np.float32)
 
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
         """See ``Player``."""
-        network = (self._weights, self._sizes, self._activation, self._row, self._now, self._after)
-        while play_candidates(simulator.world, b, self._to_go, self._references, *network, costs) == NO_ROOM:
+        fixed = (self._to_go, self._references, *self._network(), self._values)
+        while play_candidates(simulator.world, b, *fixed, costs) == NO_ROOM:
             simulator.make_room_for(b)
 
-    def choose(self, simulator: Simulator) -> np.ndarray:
-        """The valid action of the highest output of each environment, int64 [B]."""
-        network = (self._weights, self._sizes, self._activation, self._row, self._now, self._after)
+    def choose(self, simulator: Simulator) -> tuple[np.ndarray, np.ndarray]:
+        """The valid action of the highest output of each environment, int64 [B], and two outputs float32 [B, 2]: its
+        own, and the highest of another valid action (NaN where there is none)."""
         actions = np.empty(simulator.batch_size, np.int64)
-        choose_candidates(simulator.world, self._to_go, self._references, *network, actions)
-        return actions
+        values = np.empty((simulator.batch_size, 2), np.float32)
+        choose_candidates(simulator.world, self._to_go, self._references, *self._network(), actions, values)
+        return actions, values
+
+    def _network(self) -> tuple:
+        return self._weights, self._sizes, self._activation, self._row, self._now, self._after

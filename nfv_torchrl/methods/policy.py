@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from nfv_torchrl.losses.actors import scorer
+from nfv_torchrl.methods.watching import Watch
 from nfv_torchrl.observations import ObservationPart, read_observation
 from nfv_torchrl.simulator import Simulator
 
@@ -28,6 +29,9 @@ class PolicyMethod:
         mask: the mask that it was trained with, None: the scenario's.
         decides_admission: whether it was trained with ``admission_control`` while the scenario may not have it.
         device: where the actor lives.
+
+    Attributes:
+        watch: some of the scores that decided, in the last run; none of an actor of another kind.
     """
 
     def __init__(
@@ -45,12 +49,14 @@ class PolicyMethod:
         self.mask, self.decides_admission, self.device = mask, decides_admission, device
         self._scorer = scorer(actor)
         self._carried: TensorDictBase | None = None
+        self.watch = Watch()
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
         """See ``Method``."""
         self._carried = None
         self.act(simulator)  # the first call allocates and may compile
         self._carried = None
+        self.watch.clear()
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """See ``Method``."""
@@ -78,7 +84,11 @@ class PolicyMethod:
             inputs = [value.to(self.device) for value in inputs]
         with torch.no_grad():
             values = scores.module(*inputs).cpu()
-        return values.masked_fill(~mask, -torch.inf).argmax(-1).numpy()
+        values = values.masked_fill(~mask, -torch.inf)
+        if self.watch.due():
+            live = torch.from_numpy(simulator.world.env["done"] == 0)
+            self.watch.add(values[live].topk(2).values.numpy())
+        return values.argmax(-1).numpy()
 
 
 def _take(seen: Mapping[str, Any], key: str | tuple[str, ...]) -> torch.Tensor:

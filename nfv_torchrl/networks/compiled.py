@@ -9,9 +9,42 @@ import numpy as np
 from torch import nn
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.networks.layers import NoisyLinear
 from nfv_torchrl.simulator.compiled import part
 
 RELU, TANH = 0, 1
+
+
+@part
+def outputs_of(weights, sizes, activation, now, after):
+    """Outputs of the perceptron for the inputs in ``now``, which are left in ``now``; ``after`` is room, too.
+
+    Both are float32, as wide as its widest layer.
+    """
+    at = 0
+    layers = sizes.size - 1
+    for layer in range(layers):
+        inputs, outputs = sizes[layer], sizes[layer + 1]
+        end = at + inputs * outputs
+        bias, sums = weights[end : end + outputs], after[:outputs]
+        for o in range(outputs):
+            sums[o] = bias[o]
+        # Outputs innermost, and rows as arrays of their own: the compiler turns that loop into vector instructions.
+        # Half of the inputs of a layer are zero.
+        for i in range(inputs):
+            value = now[i]
+            if value != 0.0:
+                row = weights[at + i * outputs : at + (i + 1) * outputs]
+                for o in range(outputs):
+                    sums[o] += row[o] * value
+        at = end + outputs
+        for o in range(outputs):
+            if layer == layers - 1:
+                now[o] = sums[o]
+            elif activation == RELU:
+                now[o] = max(sums[o], np.float32(0.0))
+            else:
+                now[o] = np.tanh(sums[o])
 
 
 @part
@@ -19,28 +52,7 @@ def score_row(weights, sizes, activation, row, now, after):
     """Output of the perceptron for ``row``; ``now`` and ``after`` are room for its widest layer."""
     for k in range(sizes[0]):
         now[k] = row[k]
-    at = 0
-    layers = sizes.size - 1
-    for layer in range(layers):
-        inputs, outputs = sizes[layer], sizes[layer + 1]
-        bias = at + inputs * outputs
-        for o in range(outputs):
-            after[o] = weights[bias + o]
-        # Outputs innermost: the compiler turns that loop into vector instructions, and half of the inputs are zero.
-        for i in range(inputs):
-            value = now[i]
-            if value != 0.0:
-                first = at + i * outputs
-                for o in range(outputs):
-                    after[o] += weights[first + o] * value
-        at = bias + outputs
-        for o in range(outputs):
-            if layer == layers - 1:
-                now[o] = after[o]
-            elif activation == RELU:
-                now[o] = max(after[o], np.float32(0.0))
-            else:
-                now[o] = np.tanh(after[o])
+    outputs_of(weights, sizes, activation, now, after)
     return now[0]
 
 
@@ -55,19 +67,27 @@ class CompiledPerceptron(NamedTuple):
 
 
 def compiled_perceptron(layers: Iterable[nn.Module]) -> CompiledPerceptron:
-    """The weights of linear layers with one kind of activation between them, as they are now.
+    """The weights of linear layers with one kind of activation between them, as they are now; noise is left out.
 
     Raises:
         ScenarioError: layers of another kind, or another activation than ReLU and Tanh.
     """
     every = list(layers)
-    linear = [layer for layer in every if isinstance(layer, nn.Linear)]
-    others = {type(layer) for layer in every} - {nn.Linear}
+    linear = [layer for layer in every if isinstance(layer, nn.Linear | NoisyLinear)]
+    others = {type(layer) for layer in every} - {nn.Linear, NoisyLinear}
     known = {nn.ReLU: RELU, nn.Tanh: TANH}
-    if len(others) > 1 or not others <= set(known):
+    if not linear or len(others) > 1 or not others <= set(known):
         raise ScenarioError("network: a compiled network has linear layers and ReLU or Tanh between them")
-    sizes = np.array([linear[0].in_features, *(layer.out_features for layer in linear)], np.int64)
-    parts = [part.detach().cpu().numpy().ravel() for layer in linear for part in (layer.weight.T, layer.bias)]
+    shapes = [_weights(layer)[0].shape for layer in linear]
+    sizes = np.array([shapes[0][0], *(outputs for _, outputs in shapes)], np.int64)
+    parts = [part.detach().cpu().numpy().ravel() for layer in linear for part in _weights(layer)]
     scratch = np.zeros((2, int(sizes.max())), np.float32)
     activation = known[next(iter(others))] if others else RELU
     return CompiledPerceptron(np.concatenate(parts).astype(np.float32), sizes, activation, scratch[0], scratch[1])
+
+
+def _weights(layer: nn.Linear | NoisyLinear) -> tuple:
+    """Weights [inputs, outputs] and bias [outputs] of a layer."""
+    if isinstance(layer, NoisyLinear):
+        return layer.weight_mu.T, layer.bias_mu
+    return layer.weight.T, layer.bias

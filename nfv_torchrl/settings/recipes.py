@@ -74,10 +74,11 @@ Colocations = Annotated[tuple[bool, ...], Some]
 
 @dataclass(frozen=True)
 class Logger:
-    """``interval``: iterations or updates from one log line to the next."""
+    """``interval``: iterations or updates from one log line to the next; ``references``: compare with rules."""
 
     interval: Count
     figures: bool
+    references: bool
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses import q_network
-from nfv_torchrl.methods import Method, PlannerMethod, acting_method
+from nfv_torchrl.methods import Method, PlannerMethod, fastest_method
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.nfvdeep import NFVdeepEnv, NFVdeepPlanner
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
@@ -42,7 +42,7 @@ class HopDecisions:
 
     def method(self, loss: Any, *, one_hot: bool) -> Method:
         """How the policy being learned answers requests in an evaluation."""
-        return acting_method(loss.actor, q_network(loss), one_hot=one_hot)
+        return fastest_method(loss.actor, q_network(loss), one_hot=one_hot)
 
 
 class FunctionDecisions:

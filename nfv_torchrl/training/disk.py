@@ -14,8 +14,8 @@ from nfv_torchrl.errors import TrainingError
 PACKED = 10
 """A replay memory is packed to less than one part in so many (see ``compact``); of what, is seen only as it fills."""
 
-LINE, PICTURE = 5_000, 150_000
-"""Bytes in the event files of a log line and of an evaluation with its figure, generously."""
+LINE, PICTURE = 5_000, 200_000
+"""Bytes in the event files of a log line and of an evaluation with its figures, generously."""
 
 
 def tensor_bytes(value: Any) -> int:

@@ -2,35 +2,68 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import torch
 from matplotlib.figure import Figure
+from PIL import Image
+from tensorboard.compat.proto.summary_pb2 import Summary
 from tensordict import TensorDictBase
 from torch.utils.tensorboard import SummaryWriter
-from torch.utils.tensorboard.summary import hparams
 
+from nfv_torchrl.training.hyperparameters import METRICS, hparams_summaries, hyperparameters
+from nfv_torchrl.training.layout import Charts, as_layout, charts, written_always
 from nfv_torchrl.training.progress import Progress
+from nfv_torchrl.training.series import ChangingSeries
+from nfv_torchrl.training.setup import job_name
 from nfv_torchrl.training.window import TrainingWindow
+
+if TYPE_CHECKING:
+    from nfv_torchrl.training.references import References
+    from nfv_torchrl.training.run import RunFolder
+
+COLOURS = 64
+"""Of a picture: a palette makes it a third as large, and nobody sees it."""
+BINS = 48
+"""Of a histogram."""
+__all__ = ["METRICS", "RunLogger"]
 
 
 class RunLogger:
-    """Scalars, figures, the config and hyperparameters of one run.
+    """Scalars, histograms, figures, the config and hyperparameters of one run.
+
+    Series that never change are not written, but for those that others are read against (``training/layout.py``).
 
     Args:
-        folder: where the event files go.
-        frames: when resuming, the frame the run goes on from; TensorBoard then drops what was logged after it.
+        folder: of the run; the event files go there. When resuming, TensorBoard drops what was logged after the
+            checkpoint that the run goes on from, and the series go on as they were.
+        progress: how far the run is.
+
+    Attributes:
+        references: what the agent is compared with, once that is known.
+        apart: whether its lines are in event files of their own, in folders below that of the run: TensorBoard gives
+            them colours and names of their own. The many runs of a sweep have them among their own series.
     """
 
-    def __init__(self, folder: Path, frames: int | None = None) -> None:
-        purge = None if frames is None else frames + 1
-        self.writer = SummaryWriter(str(folder), purge_step=purge)
+    def __init__(self, folder: RunFolder, progress: Progress) -> None:
+        purge = progress.frames + 1 if folder.resume else None
+        self.writer = SummaryWriter(str(folder.path), purge_step=purge)
+        self.series = ChangingSeries(written_always)
+        self.resumed = folder.resume
+        self.apart = not job_name()
+        self._beside: dict[str, SummaryWriter] = {}
+        self._purge, self._path = purge, folder.path
+        self.references: References | None = None
+        folder.carry("logged", self.series)
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:
         """Log each value under its tag."""
         for tag, value in values.items():
-            self.writer.add_scalar(tag, value, frames)
+            for frame, point in self.series.points(tag, frames, float(value)):
+                self.writer.add_scalar(tag, point, frame)
 
     def iteration(
         self,
@@ -62,31 +95,65 @@ class RunLogger:
         window.reset()
         return f"AAR {values.get('train/aar', 0):.3f}  cost {values.get('train/cost_per_accepted', 0):.0f} $"
 
-    def figure(self, tag: str, figure: Figure, frames: int) -> None:
-        """Log a matplotlib figure as an image, and close it."""
-        self.writer.add_figure(tag, figure, frames, close=True)
+    def compared(self, name: str, values: Mapping[str, float], frames: int) -> None:
+        """Log metrics, by their names, of ``name``, which the agent is compared with.
 
-    def start(self, config_text: str, config: Mapping[str, Any], metrics: tuple[str, ...]) -> None:
-        """Log the config as text and its numbers as hyperparameters.
+        They have the agent's tags in a folder ``name`` below that of the run (``apart``), or in a sweep tags such as
+        ``eval/aar_of/NAME``.
+        """
+        if not self.apart:
+            self.scalars({f"eval/{key}_of/{name}": value for key, value in values.items()}, frames)
+            return
+        if name not in self._beside:
+            self._beside[name] = SummaryWriter(str(self._path / name), purge_step=self._purge)
+        for key, value in values.items():
+            self._beside[name].add_scalar(f"eval/{key}", value, frames)
+
+    def figure(self, tag: str, figure: Figure, frames: int) -> None:
+        """Log a matplotlib figure as an image."""
+        drawn, packed = io.BytesIO(), io.BytesIO()
+        figure.savefig(drawn, format="png", dpi=100)
+        picture = (
+            Image.open(drawn)
+            .convert("RGB")
+            .quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        )
+        picture.save(packed, "png")
+        image = Summary.Image(
+            width=picture.width, height=picture.height, colorspace=3, encoded_image_string=packed.getvalue()
+        )
+        self._add(Summary(value=[Summary.Value(tag=tag, image=image)]), frames)
+
+    def histogram(self, tag: str, values: torch.Tensor | np.ndarray, frames: int) -> None:
+        """Log how numbers of any shape spread; what is not finite is left out, and of nothing there is none."""
+        flat = torch.as_tensor(values).detach().cpu().flatten().double()
+        flat = flat[flat.isfinite()]
+        if len(flat):
+            self.writer.add_histogram(tag, flat, frames, bins=BINS)  # type: ignore[arg-type]
+
+    def text(self, tag: str, words: str, frames: int) -> None:
+        """Log a text (Markdown)."""
+        self.writer.add_text(tag, words, frames)
+
+    def start(
+        self, config_text: str, config: Mapping[str, Any], metrics: tuple[str, ...], layout: Charts | None = None
+    ) -> None:
+        """Log the config as text and its numbers as hyperparameters, and which series stand in one chart.
 
         ``metrics`` are the scalar tags that the HParams tab shows beside them. The summaries go into the run's own
         event file; ``SummaryWriter.add_hparams`` would open a run of its own for them.
         """
-        self.writer.add_text("config", f"```yaml\n{config_text}\n```", 0)
-        for summary in hparams(flat_values(config), dict.fromkeys(metrics, 0.0)):
-            self.writer._get_file_writer().add_summary(summary)
+        if not self.resumed:
+            self.writer.add_text("config", f"```yaml\n{config_text}\n```", 0)
+            evaluated = bool(config["eval"]["interval"])
+            self.writer.add_custom_scalars(as_layout(layout or charts(evaluated=evaluated, apart=self.apart)))
+        for summary in hparams_summaries(hyperparameters(config), metrics):
+            self._add(summary)
+
+    def _add(self, summary: Summary, frames: int | None = None) -> None:
+        self.writer._get_file_writer().add_summary(summary, frames)
 
     def close(self) -> None:
         """Write what is still in memory."""
-        self.writer.close()
-
-
-def flat_values(config: Mapping[str, Any], prefix: str = "") -> dict[str, bool | float | str]:
-    """Nested config as flat ``a.b`` keys, with values the HParams tab can show."""
-    flat: dict[str, bool | float | str] = {}
-    for key, value in config.items():
-        if isinstance(value, Mapping):
-            flat |= flat_values(value, f"{prefix}{key}.")
-        else:
-            flat[prefix + key] = value if isinstance(value, bool | int | float | str) else str(value)
-    return flat
+        for writer in (self.writer, *self._beside.values()):
+            writer.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,6 @@ from torch import nn
 
 from nfv_torchrl import __version__
 from nfv_torchrl.errors import CheckpointError, ScenarioError, one_line
-from nfv_torchrl.evaluation.metrics import compute_metrics
-from nfv_torchrl.evaluation.network_figure import draw_utilisation
-from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import (
     claim,
@@ -30,16 +27,11 @@ from nfv_torchrl.folders import (
 )
 from nfv_torchrl.inputs import file_digests, world_digests
 from nfv_torchrl.locks import Lock
-from nfv_torchrl.losses import q_network
-from nfv_torchrl.methods import Method, acting_method, policy_content, save_policy
-from nfv_torchrl.networks import Sizes
+from nfv_torchrl.methods import save_policy
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.settings.values import list_of_seeds
 from nfv_torchrl.training.checking import check_parts, load_part
 from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.finite import check_weights
-from nfv_torchrl.training.logger import RunLogger
-from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.setup import quote, run_folder
 
 MAY_CHANGE = (
@@ -75,6 +67,20 @@ class RunFolder:
         if self.resume and not self.checkpoints.files():
             raise CheckpointError(f"resume: {path} holds no checkpoint to go on from; start without resume=true")
         self._lock = self._lock_older() if contents(path) else None
+        self._carried: dict[str, Any] = {}
+        self._read: dict[str, Any] = {}
+
+    def carry(self, name: str, part: Any) -> None:
+        """Save ``part`` with every checkpoint, too; for what is made after ``load``.
+
+        When resuming it gets its state; a checkpoint of an older version has none, and ``part`` begins anew.
+
+        Raises:
+            CheckpointError: a state that is not one of ``part``.
+        """
+        self._carried[name] = part
+        if name in self._read:
+            load_part(self.path, name, part, self._read[name])
 
     def open(self) -> None:
         """Take the folder. When resuming, what a kill left in it is removed; otherwise an older run is renamed."""
@@ -117,7 +123,7 @@ class RunFolder:
         for name, part in state.items():
             if isinstance(part, nn.Module):
                 check_weights(part, name, state["progress"])
-        content = {name: _plain(part.state_dict()) for name, part in state.items()}
+        content = {name: _plain(part.state_dict()) for name, part in {**state, **self._carried}.items()}
         content["config"] = self.config
         content["inputs"] = self.inputs
         content["versions"] = {"nfv_torchrl": __version__, "torch": str(torch.__version__)}
@@ -165,6 +171,7 @@ class RunFolder:
         for name, part in state.items():
             load_part(path, name, part, content[name])
         self._random_numbers = content["rng"]
+        self._read = {name: part for name, part in content.items() if name not in state}
         print(f"Resumed from {path}.")
 
     def _check_inputs(self, path: Path, before: Mapping[str, str]) -> None:
@@ -189,47 +196,7 @@ class RunFolder:
         best = self.path / "best.pt"
         if best.exists():
             print(f"Best policy: {best}")
-        print(f"TensorBoard: tensorboard --logdir {self.path}")
-
-
-def evaluate_policy(
-    loss: Any,
-    scenario: Scenario,
-    sizes: Sizes,
-    config: Mapping[str, Any],
-    folder: RunFolder,
-    logger: RunLogger,
-    progress: Progress,
-    method: Callable[[], Method] | None = None,
-) -> None:
-    """Act greedily on held-out workloads, log what came of it, and keep the policy if it is the best so far.
-
-    ``method`` makes what acts by the loss's actor as it is now: by default step by step, as ``acting_method`` has it.
-
-    Best means the highest AAR; among equals the lowest cost per accepted request.
-
-    Raises:
-        TrainingError: weights are not finite; ``best.pt`` stays.
-    """
-    check_weights(loss, "loss", progress)
-    actor = loss.actor
-    device = next(actor.parameters()).device
-    actor.eval()  # noisy networks act by their mean weights
-    actor.to("cpu")
-    acting = method() if method else acting_method(actor, q_network(loss), one_hot=config["one_hot"])
-    records = run_method(scenario, acting, list_of_seeds("eval.seeds", config["eval"]["seeds"]))
-    actor.to(device)
-    actor.train()
-    runs = [compute_metrics(record) for record in records]
-    scores = {key: sum(run[key] for run in runs) / len(runs) for key in runs[0]}
-    logger.scalars({f"eval/{key}": value for key, value in scores.items() if value == value}, progress.frames)
-    if config["logger"]["figures"]:
-        logger.figure("network/utilisation", draw_utilisation(records[0]), progress.frames)
-    aar, cost = scores["aar"], scores["cost_per_accepted"]
-    if (aar, -cost) > (progress.best_aar, -progress.best_cost):
-        progress.best_aar, progress.best_cost, progress.best_frames = aar, cost, progress.frames
-        content = policy_content(loss, sizes, config, scenario, {"aar": aar, "cost_per_accepted": cost})
-        folder.save_best(content)
+        print(f"TensorBoard: tensorboard --logdir {self.path}, then http://localhost:6006/#custom_scalars")
 
 
 def _plain(value: Any) -> Any:

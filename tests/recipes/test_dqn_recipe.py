@@ -22,7 +22,7 @@ def scalars(folder: Path) -> dict[str, dict[int, float]]:
     """Every logged scalar by tag and frame, but for clocks."""
     events = EventAccumulator(str(folder))
     events.Reload()
-    clocks = ("speed/", "eval/decision")
+    clocks = ("speed/",)
     tags = [tag for tag in events.Tags()["scalars"] if not tag.startswith(clocks)]
     return {tag: {event.step: event.value for event in events.Scalars(tag)} for tag in tags}
 

@@ -1,0 +1,84 @@
+"""The first screen of TensorBoard's tab "Custom Scalars": which series stand in one chart, the most telling first.
+
+Series are named by regular expressions, so that the layout is the same for all services, reasons and losses:
+TensorBoard puts the layouts of several runs together chart by chart.
+"""
+
+from __future__ import annotations
+
+import re
+
+Charts = dict[str, dict[str, list[str]]]
+"""By category and title of the chart: expressions of the tags that are its lines."""
+
+PAIRED = "paired cost: the agent's over that of a rule, same requests"
+EVALUATED: Charts = {
+    "1 Does it learn, and is it better than the rules?": {
+        "AAR: agent, greedy, myopic_optimal, random_feasible, bound": [
+            r"eval/aar$", r"eval/aar_of/",
+        ],
+        "cost of an accepted request, $": [r"eval/cost_per_accepted$", r"eval/cost_per_accepted_of/"],
+        PAIRED: [r"eval/paired_cost/"],
+    },
+    "2 What does it still reject?": {
+        "AAR by service": [r"eval/aar/"],
+        "rejected by reason, stacked: the highest line is all that is rejected": [r"eval/rejected_stacked/"],
+        "what its steps do, shares": [r"eval/steps/"],
+    },
+}  # fmt: skip
+"""Charts of evaluations, by category."""
+LEARNER: dict[str, list[str]] = {
+    "loss": [r"train/loss$"],
+    "value of the actions taken (Q), or entropy of the policy": [
+        r"train/chosen_q$", r"train/entropy$", r"eval/chosen_value$",
+    ],
+    "gradient norm": [r"train/gradient_norm$"],
+}  # fmt: skip
+CURVES = [r"(train|eval)/(aar|anuc|cost_per_accepted|mean_hops)$"]
+"""Of every run, so that learning curves can be drawn of any."""
+SPEED: dict[str, list[str]] = {"frames, updates and requests per second": [r"speed/.*_per_second$"]}
+EVOLVED: Charts = {
+    "1 Does it learn, and is it better than the rules?": {
+        "AAR: agent, myopic_optimal": [r"eval/aar$", r"eval/aar_of/"],
+        "AAR above that of myopic_optimal": [r"eval/aar_gain$"],
+        "paired cost: the agent's over that of myopic_optimal, same requests": [r"eval/paired_cost$"],
+    },
+    "2 How is the search?": {
+        "fitness": [r"eval/fitness$", r"train/fitness$", r"train/fitness_best$"],
+        "step size": [r"train/sigma$"],
+    },
+    "3 How fast is it?": SPEED,
+}
+"""All charts of an evolution."""
+
+
+def charts(*, evaluated: bool, apart: bool) -> Charts:
+    """The charts of a training by loss.
+
+    Args:
+        evaluated: whether there are evaluations.
+        apart: whether what the agent is compared with is in event files of its own (``RunLogger.apart``), with the
+            agent's tags.
+    """
+    learner: Charts = {"3 How does the learner do?": LEARNER, "4 How fast is it?": SPEED}
+    if not evaluated:
+        return learner
+    if not apart:
+        return EVALUATED | learner
+    first, *others = EVALUATED
+    own = {title: tags[:1] for title, tags in EVALUATED[first].items()} | {PAIRED: [r"eval/paired_cost$"]}
+    return {first: own} | {title: EVALUATED[title] for title in others} | learner
+
+
+def written_always(tag: str) -> bool:
+    """Whether a series is written though it never changes: lines that others are read against, and curves."""
+    first = next(iter(EVALUATED.values())) | next(iter(EVOLVED.values()))
+    return any(re.match(pattern, tag) for patterns in [*first.values(), CURVES] for pattern in patterns)
+
+
+def as_layout(charts_by_category: Charts) -> dict[str, dict[str, list]]:
+    """The charts as ``SummaryWriter.add_custom_scalars`` takes them."""
+    return {
+        category: {title: ["Multiline", tags] for title, tags in lines.items()}
+        for category, lines in charts_by_category.items()
+    }
