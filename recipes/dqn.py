@@ -80,7 +80,6 @@ def main(cfg: DictConfig) -> None:
     explore = EGreedyModule(Categorical(sizes.actions), action_mask_key="action_mask").to(device)
     policy = TensorDictSequential(loss.actor, explore)
     epsilon, beta = instantiate(cfg.exploration), instantiate(cfg.buffer.beta)  # by frames
-
     frames_per_batch = cfg.collector.num_envs * cfg.collector.steps
     buffer = make_buffer(config["buffer"], size=cfg.buffer.size, batch_size=cfg.buffer.batch_size, device=device)
     updater = target_updater(cfg.target, loss)

@@ -34,10 +34,15 @@ from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.finite import check_fitness
+from nfv_torchrl.training.layout import EVOLVED
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.setup import StopRequest, seed_everything, set_threads
+
+
+FITNESS = ("eval/fitness", "eval/aar", "eval/paired_cost")
+"""What the HParams tab shows of a run."""
 
 
 @recipe("evolution")
@@ -65,24 +70,28 @@ def main(cfg: DictConfig) -> None:
     check_room(folder.path, state, config, iterations=cfg.generations)
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder, progress)
-    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, ("eval/fitness", "eval/aar_gain", "eval/paired_cost"))
+    logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, FITNESS, EVOLVED)
     evaluations = cfg.generations // cfg.eval.interval if cfg.eval.interval else 0
     bar = ProgressBar(total=cfg.generations, initial=strategy.generation, unit="generation", pauses=evaluations)
 
     def evaluate() -> None:
         """The centre of the search on held-out horizons; keep it if it is the fittest so far."""
         centre = policy.with_vector(strategy.mean)
-        (scores,) = arena.scores([centre], held_out)
+        (scores,) = arena.scores([centre], held_out, known)
         values = summary(scores)
+        logger.compared("myopic_optimal", {"aar": values["aar"] - values["aar_gain"]}, progress.frames)
         logger.scalars({f"eval/{name}": value for name, value in values.items()}, progress.frames)
         if cfg.logger.figures:
             logger.figure("network/utilisation", draw_utilisation(play(centre, held_out[0])), progress.frames)
-        if values["fitness"] > progress.best_fitness:
+        if progress.frames and values["fitness"] > progress.best_fitness:
             progress.best_fitness, progress.best_aar = values["fitness"], values["aar"]
             progress.best_frames = progress.frames
             folder.save_best(policy_content(centre, sizes, config, centre.settings(scenario), values))
 
     with arena.workers, StopRequest() as stop:
+        known = arena.baselines(held_out) if cfg.eval.interval else []
+        if cfg.eval.interval and not strategy.generation:
+            evaluate()  # where the search begins
         while strategy.generation < cfg.generations and not stop.asked:
             started = time.perf_counter()
             horizons = tasks.draw(cfg.seed, strategy.generation, cfg.generation.tasks)

@@ -30,7 +30,7 @@ from nfv_torchrl.parallel import Workers
 from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.settings.recipes import FiguresSettings, read_settings
 from nfv_torchrl.training.cli import recipe
-from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.logger import EventLog
 from nfv_torchrl.training.setup import run_folder
 
 
@@ -62,7 +62,7 @@ def compute_all(figures: Mapping[str, Experiment], study: Study, store: CellStor
 
 def draw_all(figures: Mapping[str, Experiment], study: Study, store: CellStore, failures: Mapping[str, str]) -> None:
     """Draw every figure whose cells are there, into files and for TensorBoard."""
-    logger = RunLogger(store.folder)
+    logger = EventLog(store.folder)
     for name, figure in ProgressBar(figures.items(), desc="drawing", unit="figure"):
         if any(cell.key in failures for cell in figure.cells(study)):
             print(f"{name}: not drawn, some of its cells failed")

@@ -116,9 +116,7 @@ def _tags(scores: Mapping[str, float], records: Sequence[RunRecord], acting: Met
     return _known(values)
 
 
-def _compare(
-    references: References, records: Sequence[RunRecord], logger: RunLogger, frames: int
-) -> dict[str, float]:
+def _compare(references: References, records: Sequence[RunRecord], logger: RunLogger, frames: int) -> dict[str, float]:
     """Log the lines that the agent's are read against. Returns its paired costs, by tag."""
     paired = references.paired_costs(records)
     for name, metrics in references.metrics.items():

@@ -39,7 +39,8 @@ def hyperparameters(config: Mapping[str, Any]) -> dict[str, Value]:
             named[name] = " ".join([class_name(named[name]).removesuffix("Network"), *_more(config[name])])
     sampler = flat.pop("buffer.sampler._target_", None)
     if sampler is not None:
-        named["buffer"] = f"{class_name(sampler).removesuffix('Sampler').lower()} {named['buffer']}"
+        kind = class_name(sampler).removesuffix("Sampler").lower()
+        named["buffer"] = f"{kind} {named.get('buffer', '')}".strip()
     return named | {key: value for key, value in flat.items() if not key.startswith(LEFT_OUT)}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,10 +30,55 @@ COLOURS = 64
 """Of a picture: a palette makes it a third as large, and nobody sees it."""
 BINS = 48
 """Of a histogram."""
-__all__ = ["METRICS", "RunLogger"]
+__all__ = ["METRICS", "EventLog", "RunLogger"]
 
 
-class RunLogger:
+class EventLog:
+    """Pictures, texts and histograms in the event files of a folder.
+
+    Args:
+        folder: where they go.
+        purge: when resuming, TensorBoard drops what was logged from this frame on.
+    """
+
+    def __init__(self, folder: Path, purge: int | None = None) -> None:
+        self.writer = SummaryWriter(str(folder), purge_step=purge)
+
+    def figure(self, tag: str, figure: Figure, frames: int) -> None:
+        """Log a matplotlib figure as an image."""
+        drawn, packed = io.BytesIO(), io.BytesIO()
+        figure.savefig(drawn, format="png", dpi=100)
+        picture = (
+            Image.open(drawn)
+            .convert("RGB")
+            .quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        )
+        picture.save(packed, "png")
+        image = Summary.Image(
+            width=picture.width, height=picture.height, colorspace=3, encoded_image_string=packed.getvalue()
+        )
+        self._add(Summary(value=[Summary.Value(tag=tag, image=image)]), frames)
+
+    def histogram(self, tag: str, values: torch.Tensor | np.ndarray, frames: int) -> None:
+        """Log how numbers of any shape spread; what is not finite is left out, and of nothing there is none."""
+        flat = torch.as_tensor(values).detach().cpu().flatten().double()
+        flat = flat[flat.isfinite()]
+        if len(flat):
+            self.writer.add_histogram(tag, flat, frames, bins=BINS)  # type: ignore[arg-type]
+
+    def text(self, tag: str, words: str, frames: int) -> None:
+        """Log a text (Markdown)."""
+        self.writer.add_text(tag, words, frames)
+
+    def close(self) -> None:
+        """Write what is still in memory."""
+        self.writer.close()
+
+    def _add(self, summary: Summary, frames: int | None = None) -> None:
+        self.writer._get_file_writer().add_summary(summary, frames)
+
+
+class RunLogger(EventLog):
     """Scalars, histograms, figures, the config and hyperparameters of one run.
 
     Series that never change are not written, but for those that others are read against (``training/layout.py``).
@@ -50,7 +96,7 @@ class RunLogger:
 
     def __init__(self, folder: RunFolder, progress: Progress) -> None:
         purge = progress.frames + 1 if folder.resume else None
-        self.writer = SummaryWriter(str(folder.path), purge_step=purge)
+        super().__init__(folder.path, purge)
         self.series = ChangingSeries(written_always)
         self.resumed = folder.resume
         self.apart = not job_name()
@@ -109,32 +155,6 @@ class RunLogger:
         for key, value in values.items():
             self._beside[name].add_scalar(f"eval/{key}", value, frames)
 
-    def figure(self, tag: str, figure: Figure, frames: int) -> None:
-        """Log a matplotlib figure as an image."""
-        drawn, packed = io.BytesIO(), io.BytesIO()
-        figure.savefig(drawn, format="png", dpi=100)
-        picture = (
-            Image.open(drawn)
-            .convert("RGB")
-            .quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-        )
-        picture.save(packed, "png")
-        image = Summary.Image(
-            width=picture.width, height=picture.height, colorspace=3, encoded_image_string=packed.getvalue()
-        )
-        self._add(Summary(value=[Summary.Value(tag=tag, image=image)]), frames)
-
-    def histogram(self, tag: str, values: torch.Tensor | np.ndarray, frames: int) -> None:
-        """Log how numbers of any shape spread; what is not finite is left out, and of nothing there is none."""
-        flat = torch.as_tensor(values).detach().cpu().flatten().double()
-        flat = flat[flat.isfinite()]
-        if len(flat):
-            self.writer.add_histogram(tag, flat, frames, bins=BINS)  # type: ignore[arg-type]
-
-    def text(self, tag: str, words: str, frames: int) -> None:
-        """Log a text (Markdown)."""
-        self.writer.add_text(tag, words, frames)
-
     def start(
         self, config_text: str, config: Mapping[str, Any], metrics: tuple[str, ...], layout: Charts | None = None
     ) -> None:
@@ -149,9 +169,6 @@ class RunLogger:
             self.writer.add_custom_scalars(as_layout(layout or charts(evaluated=evaluated, apart=self.apart)))
         for summary in hparams_summaries(hyperparameters(config), metrics):
             self._add(summary)
-
-    def _add(self, summary: Summary, frames: int | None = None) -> None:
-        self.writer._get_file_writer().add_summary(summary, frames)
 
     def close(self) -> None:
         """Write what is still in memory."""
