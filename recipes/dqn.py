@@ -121,7 +121,7 @@ def main(cfg: DictConfig) -> None:
     learning = TensorDict()  # what the last update said
 
     if cfg.eval.interval and not progress.iteration:
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)  # untrained
+        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)  # untrained
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:
             explore.eps.fill_(epsilon(progress.frames))

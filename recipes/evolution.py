@@ -40,7 +40,6 @@ from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.setup import StopRequest, seed_everything, set_threads
 
-
 FITNESS = ("eval/fitness", "eval/aar", "eval/paired_cost")
 """What the HParams tab shows of a run."""
 
