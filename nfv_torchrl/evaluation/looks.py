@@ -36,6 +36,7 @@ LOOKS: dict[str, Look] = {
     "bound: blind": Look("#777777", "*", ":"),
     # Losses, which are compared with each other and with the rules above.
     "dqn": _AGENT,
+    "prioritized": Look("#EE6677", "X"),
     "double_dqn": Look("#332288", "s"),
     "n_step": Look("#117733", "^"),
     "dueling": Look("#88CCEE", "D"),
