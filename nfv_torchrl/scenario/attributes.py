@@ -56,15 +56,20 @@ class FileNumbers:
         for key in lacking:
             self._warn_of_gaps(key, origins.get(key, DRAWN))
         unused = [f"{name} ({owner}s)" for owner in ("link", "node") for name in self._unused(owner)]
+        parts = list(self.file.notes)
+        if self.file.demands is not None:
+            parts.append(f"its {len(self.file.demands):,} demands are not used, requests come from the scenario")
         if unused:
             by_origin: dict[str, list[str]] = {}
             for key in lacking:
                 by_origin.setdefault(origins.get(key, DRAWN), []).append(key)
             taken = ", ".join(f"{', '.join(keys)} {origin}" for origin, keys in by_origin.items())
-            self.say(
+            parts.append(
                 f"numbers of the file that are not used: {', '.join(unused)}; instead: "
                 f"{taken or 'others of the file'}; scenario.substrate.attributes says what a name means"
             )
+        if parts:
+            self.say("; ".join(parts))
         if self.with_unit:
             self.say(f"text with a unit read as a number: {some(self.with_unit)}")
 
@@ -94,8 +99,17 @@ class FileNumbers:
     def _unused(self, owner: str) -> list[str]:
         """Names of attributes that hold a number somewhere and served for nothing."""
         entries = self.file.links if owner == "link" else self.file.nodes
-        names = {name: None for data in entries for name, value in data.items() if is_plain_number(value)}
+        names = {name: None for data in entries for name, value in data.items() if _holds_number(value)}
         return [shown(name)[1:-1] for name in names if name not in self.used[owner] | BOOKKEEPING]
+
+
+def _holds_number(value: Any) -> bool:
+    """Whether ``value`` is a number, or a list or object that holds one, as drawings and vectors do."""
+    if isinstance(value, Mapping):
+        return any(map(_holds_number, value.values()))
+    if isinstance(value, list | tuple):
+        return any(map(_holds_number, value))
+    return is_plain_number(value)
 
 
 def some(names: Sequence[str]) -> str:

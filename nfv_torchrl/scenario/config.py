@@ -23,9 +23,9 @@ class SubstrateConfig:
     """The network. Ranges are [low, high], drawn uniformly.
 
     Attributes:
-        path: ``.json``, ``.graphml`` or ``.gml`` file, or name of a topology that ships; null: random.
+        path: network file, ``topohub:`` and a key, or name of a topology that ships (``docs/data.md``); null: random.
         attributes: what the file calls capacities, delays and so on, where these are not the names that are known.
-        directed: ``pairs``: arcs of a directed file must pair up; ``merge``: the worse numbers of both directions.
+        directed: ``pairs``: arcs of a directed file must pair up, if any do; ``merge``: the worse numbers of both.
         generator: ``_target_`` and arguments of a user's own callable, called with ``seed=``; returns a ``Substrate``.
         nodes: N, random graphs only.
         mean_degree: random graphs only.

@@ -1,9 +1,8 @@
-"""What GraphML, GML and node-link JSON files say, before anyone asks what it means: nodes, links, attributes."""
+"""What network files say, before anyone asks what it means; GML and node-link JSON are read here."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,61 +10,20 @@ import networkx as nx
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import decode, read_bytes, read_json
-from nfv_torchrl.scenario.graphml import MAX_ENTRIES, parse_graphml
-from nfv_torchrl.scenario.limits import MAX_NODES
+from nfv_torchrl.scenario.formats.graph import MAX_NETWORK_BYTES, GraphFile, assemble
+from nfv_torchrl.scenario.formats.repetita import parse_graph
+from nfv_torchrl.scenario.formats.sndlib import parse_native, parse_sndlib_xml
+from nfv_torchrl.scenario.formats.xml import MAX_ENTRIES
+from nfv_torchrl.scenario.graphml import parse_graphml
 from nfv_torchrl.scenario.quoting import one_line, shown
 
-SUFFIXES = (".json", ".graphml", ".gml")
-MAX_NETWORK_BYTES = 64 * 10**6
-"""Largest network file that is read; parsed it takes at most some 2 GB."""
-MAX_LINKS = 200_000
+SUFFIXES = (".json", ".graphml", ".gml", ".xml", ".txt", ".graph")
 MAX_DEPTH = 50
 """Brackets within brackets of a GML file; files of the collection have 3."""
 
 
-@dataclass(frozen=True)
-class GraphFile:
-    """A graph as its file has it; nodes are numbered in the file's order.
-
-    Attributes:
-        source: the file, for messages.
-        ids: what the file calls its nodes: text, numbers or tuples of them.
-        nodes: attributes of each node.
-        ends: source and target of each link.
-        links: attributes of each link.
-        directed: links are arcs from source to target.
-        attributes: those of the graph.
-    """
-
-    source: str
-    ids: list[Any]
-    nodes: list[dict[str, Any]]
-    ends: list[tuple[int, int]]
-    links: list[dict[str, Any]]
-    directed: bool = False
-    attributes: dict[str, Any] = field(default_factory=dict)
-
-    def to_networkx(self) -> nx.MultiGraph:
-        """The graph by the file's ids, with all attributes."""
-        graph = nx.MultiDiGraph() if self.directed else nx.MultiGraph()
-        graph.graph.update(self.attributes)
-        graph.add_nodes_from(zip(self.ids, self.nodes, strict=True))
-        ends = [(self.ids[u], self.ids[v]) for u, v in self.ends]
-        graph.add_edges_from((u, v, data) for (u, v), data in zip(ends, self.links, strict=True))
-        return graph
-
-    def node_name(self, node: int) -> str:
-        """Node ``node`` in a message."""
-        return f"node {shown(self.ids[node])}"
-
-    def link_name(self, link: int) -> str:
-        """Link ``link`` in a message."""
-        u, v = self.ends[link]
-        return f"link {shown(self.ids[u])} - {shown(self.ids[v])}"
-
-
 def read_graph_file(path: Path) -> GraphFile:
-    """The graph of ``path``, by its suffix a GraphML, GML or node-link JSON file.
+    """The graph of ``path``, by its suffix GraphML, GML, node-link JSON, of SNDlib (.xml, .txt) or Repetita (.graph).
 
     Raises:
         ScenarioError: the file cannot be read or parsed, two nodes share an id, or a link names a node that is not
@@ -77,40 +35,13 @@ def read_graph_file(path: Path) -> GraphFile:
     content = read_bytes(path, MAX_NETWORK_BYTES)
     if suffix == ".gml":
         return _parse_gml(content, str(path))
+    if suffix in _OTHERS:
+        return _OTHERS[suffix](content, str(path))
     parsed = parse_graphml(content, str(path))
-    return _assemble(str(path), parsed.ids, parsed.nodes, parsed.ends, parsed.links, directed=parsed.directed)
+    return assemble(str(path), parsed.ids, parsed.nodes, parsed.ends, parsed.links, directed=parsed.directed)
 
 
-def _assemble(
-    source: str,
-    ids: list[Any],
-    nodes: list[dict[str, Any]],
-    ends: list[tuple[Any, Any]],
-    links: list[dict[str, Any]],
-    **rest: Any,
-) -> GraphFile:
-    """A graph file of links whose ``ends`` are ids."""
-    if len(ids) > MAX_NODES:
-        raise ScenarioError(
-            f"{source}: has {len(ids):,} nodes, and one table of the delays between all of them would take "
-            f"{8 * len(ids) ** 2 / 1e9:,.1f} GB; give a network of at most {MAX_NODES:,} nodes"
-        )
-    if len(ends) > MAX_LINKS:
-        raise ScenarioError(f"{source}: has {len(ends):,} links; give a network of at most {MAX_LINKS:,}")
-    index = {name: node for node, name in enumerate(ids)}
-    if len(index) < len(ids):
-        twice = next(name for node, name in enumerate(ids) if index[name] != node)
-        raise ScenarioError(f"{source}: two nodes have the same 'id' {shown(twice)}; ids must differ")
-    texts = {str(name).strip(): name for name in ids}
-    if len(texts) < len(ids):
-        twice = next(name for name in ids if texts[str(name).strip()] != name)
-        raise ScenarioError(f"{source}: two nodes have the 'id' {shown(str(twice))}, one as text; ids must differ")
-    for end in (end for pair in ends for end in pair):
-        if end not in index:
-            raise ScenarioError(
-                f"{source}: a link names node {shown(end)}, which is not among 'nodes'; add it or correct the link"
-            )
-    return GraphFile(source, ids, nodes, [(index[u], index[v]) for u, v in ends], links, **rest)
+_OTHERS = {".xml": parse_sndlib_xml, ".txt": parse_native, ".graph": parse_graph}
 
 
 # -------------------------------------------------------------------- GML
@@ -138,7 +69,7 @@ def _parse_gml(content: bytes, source: str) -> GraphFile:
             f"{source}: is not valid GML ({one_line(str(error))}); repair or replace the file"
         ) from error
     edges = list(graph.edges(data=True))
-    return _assemble(
+    return assemble(
         source,
         list(graph.nodes),
         [dict(data) for _, data in graph.nodes(data=True)],
@@ -203,6 +134,7 @@ def read_node_link(path: Path) -> GraphFile:
         raise ScenarioError(f"{path}: has both 'links' and 'edges'; keep one")
     key = "edges" if "edges" in data else "links"
     links = _entries(data, key, path)
+    nodes = _with_ids(nodes, links)
     ids = [_id_of(node, "id", f"{path}: nodes[{place}]") for place, node in enumerate(nodes)]
     if set(ids) == set(range(len(ids))):  # in any order, they are the nodes' numbers
         nodes = [node for _, node in sorted(zip(ids, nodes, strict=True), key=lambda pair: pair[0])]
@@ -214,7 +146,7 @@ def read_node_link(path: Path) -> GraphFile:
     attributes = data.get("graph", {})
     if not isinstance(attributes, dict):
         raise ScenarioError(f"{path}: 'graph' is {shown(attributes)}; an object of attributes was expected")
-    file = _assemble(
+    file = assemble(
         str(path),
         ids,
         [_without(node, "id") for node in nodes],
@@ -236,6 +168,16 @@ def _entries(data: dict[str, Any], key: str, path: Path) -> list[dict[str, Any]]
         if not isinstance(entry, dict):
             raise ScenarioError(f"{path}: {key}[{place}] is {shown(entry)}; an object {{...}} was expected")
     return entries
+
+
+def _with_ids(nodes: list[dict[str, Any]], links: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """``nodes`` with an ``id`` each, where none has one: D3's links call nodes by their place, or by their name."""
+    if not links or any("id" in node for node in nodes):
+        return nodes
+    ends = [link.get(end) for link in links for end in ("source", "target")]
+    if all(isinstance(end, int) and not isinstance(end, bool) for end in ends):
+        return [{"id": place, **node} for place, node in enumerate(nodes)]
+    return [{"id": node["name"], **node} if "name" in node else node for node in nodes]
 
 
 def _id_of(entry: dict[str, Any], key: str, where: str) -> Any:

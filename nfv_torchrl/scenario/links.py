@@ -46,6 +46,12 @@ def merge_links(links: Links, source: str) -> Links:
 DIRECTED = ("pairs", "merge")
 
 
+def has_way_back(ends: np.ndarray) -> bool:
+    """Whether some arc of ``ends`` int64 [E, 2], from source to target, has another in the other direction."""
+    arcs = {(u, v) for u, v in ends.tolist() if u != v}
+    return not arcs.isdisjoint({(v, u) for u, v in arcs})
+
+
 def pair_arcs(arcs: Links, rule: str, source: str, name_of: Callable[[int], str]) -> Links:
     """The undirected links of a directed file: each stands for the arcs from u to v and those from v to u.
 

@@ -80,12 +80,13 @@ class Source(NamedTuple):
     lenient: bool = False
 
 
-def parse_mapping(mapping: Mapping[str, Any], km_per_ms: float) -> dict[str, Source]:
+def parse_mapping(mapping: Mapping[str, Any], km_per_ms: float, detour: float = 1.0) -> dict[str, Source]:
     """Where ``substrate.attributes`` says that quantities are read from.
 
     Args:
         mapping: from quantities to a name, or to ``{name: NAME, unit: UNIT}``.
         km_per_ms: speed of light in fibre, for delays given as the length of a link in km.
+        detour: length of a fibre over the great circle's, for delays given as the latter.
 
     Raises:
         ScenarioError: a quantity or a unit that does not exist, or no name.
@@ -100,20 +101,21 @@ def parse_mapping(mapping: Mapping[str, Any], km_per_ms: float) -> dict[str, Sou
             raise ScenarioError(
                 f"{where}: {shown(value)}; give the name of an attribute, or {{name: NAME, unit: UNIT}}"
             )
-        sources[key] = Source(entry["name"], _unit(key, entry.get("unit"), km_per_ms, where))
+        sources[key] = Source(entry["name"], _unit(key, entry.get("unit"), units_of(key, km_per_ms, detour), where))
     return sources
 
 
-def units_of(key: str, km_per_ms: float) -> dict[str, Unit]:
+def units_of(key: str, km_per_ms: float, detour: float = 1.0) -> dict[str, Unit]:
     """The units that a file may give ``key`` in."""
     units = dict(QUANTITIES[key].units)
-    return units | {"km": Unit(divisor=km_per_ms)} if key == "delay" else units
+    if key == "delay":
+        units |= {"km": Unit(divisor=km_per_ms), "great-circle km": Unit(detour, km_per_ms)}
+    return units
 
 
-def _unit(key: str, name: Any, km_per_ms: float, where: str) -> Unit:
+def _unit(key: str, name: Any, units: Mapping[str, Unit], where: str) -> Unit:
     if name is None:
         return Unit()
-    units = units_of(key, km_per_ms)
     if name not in units:
         choice = f"use one of {', '.join(units)}" if units else "leave it out, this quantity has one unit only"
         raise ScenarioError(f"{where}.unit: {shown(name)} is unknown; {choice}")

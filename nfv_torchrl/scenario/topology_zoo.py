@@ -1,7 +1,8 @@
-"""Networks from files: GraphML, GML and node-link JSON, and a dozen of the Internet Topology Zoo that ship here."""
+"""Networks from files of many formats, and a dozen of the Internet Topology Zoo that ship here."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Iterable, Mapping
@@ -15,14 +16,17 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.attributes import DRAWN, FileNumbers, read_numbers, some
 from nfv_torchrl.scenario.config import SubstrateConfig
 from nfv_torchrl.scenario.file_vms import file_vms
-from nfv_torchrl.scenario.graph_files import SUFFIXES, GraphFile, read_graph_file
-from nfv_torchrl.scenario.links import DIRECTED, Links, merge_links, pair_arcs
+from nfv_torchrl.scenario.formats.dialects import translate
+from nfv_torchrl.scenario.formats.geodesy import great_circle_km
+from nfv_torchrl.scenario.formats.graph import GraphFile
+from nfv_torchrl.scenario.formats.topohub import PREFIX, topohub_file
+from nfv_torchrl.scenario.graph_files import SUFFIXES, read_graph_file
+from nfv_torchrl.scenario.links import DIRECTED, Links, has_way_back, merge_links, pair_arcs
 from nfv_torchrl.scenario.quantities import parse_mapping
 from nfv_torchrl.scenario.resources import ResourceRanges, draw_links
 from nfv_torchrl.scenario.substrate import Substrate, label_of
 
 TOPOLOGIES = Path(__file__).parent / "topologies"
-EARTH_RADIUS_KM = 6371.0
 LEAST_DELAY = 0.01
 """ms; floor of a link's delay, for nodes at one place (2 km of fibre)."""
 
@@ -45,7 +49,10 @@ def read_topology(
     attributes: Mapping[str, Any] | None = None,
     **ranges: Any,
 ) -> Substrate:
-    """The network of a ``.graphml``, ``.gml`` or ``.json`` file, or of a topology that ships here.
+    """The network of a file, of TopoHub's package, or of a topology that ships here.
+
+    A file is GraphML (``.graphml``), GML (``.gml``), node-link JSON (``.json``), of SNDlib (``.txt``, ``.xml``) or of
+    Repetita (``.graph``).
 
     The file's numbers are kept, see ``docs/data.md`` for their names and units; what it lacks is drawn. A link without
     a delay whose file has coordinates gets that of the great circle between its ends times ``detour`` over
@@ -55,7 +62,7 @@ def read_topology(
     numbers of the file that are not used, are named by a ``ScenarioWarning``.
 
     Args:
-        path: file, or one of ``shipped_topologies`` (in any case).
+        path: file, one of ``shipped_topologies`` (in any case), or a key of TopoHub, as ``topohub:sndlib/germany50``.
         seed: scenario seed, for what is drawn.
         fibre_km_per_ms: speed of light in fibre.
         detour: length of a fibre over the great circle's.
@@ -74,9 +81,12 @@ def read_topology(
     if directed not in DIRECTED:
         raise ScenarioError(f"substrate.directed: {directed!r} is unknown; use one of {', '.join(DIRECTED)}")
     drawn_from = ResourceRanges(**ranges)
-    sources = parse_mapping(attributes or {}, fibre_km_per_ms)
-    path = _find(path)
-    file = read_graph_file(path)
+    parse_mapping(attributes or {}, fibre_km_per_ms)  # before a file is read
+    given, path = path, _find(path)
+    file = translate(read_graph_file(path), attributes or {})
+    if str(given).startswith(PREFIX):
+        file = dataclasses.replace(file, source=str(given))
+    sources = parse_mapping({**file.names, **(attributes or {})}, fibre_km_per_ms, detour)
     numbers = read_numbers(file, sources, fibre_km_per_ms)
     graph = _connected(_graph(file, numbers, directed), path, largest_component)
     kept = [data["place"] for _, data in graph.nodes(data=True)]
@@ -102,14 +112,16 @@ def read_topology(
 
 
 def _find(path: str | os.PathLike[str]) -> Path:
-    """The file of ``path``, be it a path or a shipped name."""
+    """The file of ``path``, be it a path, a key of TopoHub or a shipped name."""
+    if str(path).startswith(PREFIX):
+        return topohub_file(str(path).removeprefix(PREFIX))
     shipped = {file.stem.lower(): file for file in TOPOLOGIES.glob("*.graphml")}
     if str(path).lower() in shipped:
         return shipped[str(path).lower()]
     if Path(path).suffix.lower() not in SUFFIXES:
         raise ScenarioError(
-            f"substrate.path: {str(path)!r} is neither a file ending in .json, .graphml or .gml nor a topology that "
-            f"ships here; those are {', '.join(sorted(shipped))}"
+            f"substrate.path: {str(path)!r} is neither a file ending in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}, "
+            f"nor {PREFIX} and a key, nor a topology that ships here; those are {', '.join(sorted(shipped))}"
         )
     return Path(path)
 
@@ -117,7 +129,9 @@ def _find(path: str | os.PathLike[str]) -> Path:
 def _graph(file: GraphFile, numbers: FileNumbers, directed: str) -> nx.MultiGraph:
     """The undirected graph of nodes 0 .. N-1; ``place`` of a node is its place in the file, edges have ``numbers``."""
     links = Links(np.array(file.ends, np.int64).reshape(-1, 2), *(numbers.values[key] for key in LINK_NUMBERS))
-    if file.directed:
+    if file.directed and not has_way_back(links.ends):
+        numbers.say("is directed, but no arc has one back: each is taken for a link that serves both directions")
+    elif file.directed:
         links = pair_arcs(links, directed, file.source, file.link_name)
     graph = nx.MultiGraph()
     graph.add_nodes_from((place, {"place": place}) for place in range(len(file.ids)))
@@ -192,13 +206,6 @@ def _links(
         np.where(np.isnan(unit_cost), drawn.unit_cost, unit_cost),
     )
     return merge_links(known, source)
-
-
-def great_circle_km(here: np.ndarray, there: np.ndarray) -> np.ndarray:
-    """Kilometres along the globe between points of latitude and longitude in degrees, float64 [..., 2] to [...]."""
-    (lat, lon), (lat2, lon2) = np.radians(here).T, np.radians(there).T
-    haversine = np.sin((lat2 - lat) / 2) ** 2 + np.cos(lat) * np.cos(lat2) * np.sin((lon2 - lon) / 2) ** 2
-    return (2 * EARTH_RADIUS_KM * np.arcsin(np.sqrt(np.clip(haversine, 0, 1)))).T
 
 
 # -------------------------------------------------------------------- coordinates

@@ -207,9 +207,10 @@ def test_attributes_need_a_file():
 
 
 def test_numbers_that_are_not_used_are_named_once(tmp_path):
-    links = ({"bw": 10, "lag": "3", "kind": "fibre"}, {"bw": 20})
-    (message,) = all_warnings(network(tmp_path, *links, nodes=({"cpu": 4}, {}, {})))
-    assert "numbers of the file that are not used: bw (links), lag (links), cpu (nodes)" in message
+    links = ({"width": 10, "lag": "3", "kind": "fibre"}, {"width": 20})
+    (message,) = all_warnings(network(tmp_path, *links, nodes=({"cores": 4}, {}, {"drawing": {"x": 1.5}})))
+    used = "width (links), lag (links), cores (nodes), drawing (nodes)"
+    assert f"numbers of the file that are not used: {used}" in message
     assert "instead: capacity, delay, unit_cost, vm_capacity, vm_unit_cost drawn with the scenario seed" in message
     assert "kind" not in message
 
@@ -320,7 +321,6 @@ def test_arcs_that_agree_become_links(tmp_path):
     ("rows", "flaw", "capacity", "delay"),
     [
         ([("a", "b", 5, 1), ("b", "a", 4, 3)], "its way back has other numbers", 4.0, 3.0),
-        ([("b", "a", 5, 1)], "there is no arc back", 5.0, 1.0),
         ([("a", "b", 5, 1), ("a", "b", 2, 2), ("b", "a", 6, 1)], "its way back has other numbers", 6.0, 1.0),
     ],
 )
@@ -330,6 +330,22 @@ def test_arcs_that_do_not_agree(rows, flaw, capacity, delay, tmp_path):
         read_topology(path, 0)
     substrate = read_topology(path, 0, directed="merge")
     assert (substrate.link_capacity.tolist(), substrate.link_delay.tolist()) == ([capacity], [delay])
+
+
+def test_an_arc_without_one_back_beside_others_that_have_one(tmp_path):
+    path = arcs(tmp_path, ("a", "b", 5, 1), ("b", "a", 5, 1), ("b", "c", 7, 2))
+    path.write_text(path.read_text().replace('{"id": "b"}', '{"id": "b"}, {"id": "c"}'))
+    with pytest.raises(ScenarioError, match=r"link 'b' - 'c' there is no arc back; .* set substrate.directed=merge"):
+        read_topology(path, 0)
+    assert read_topology(path, 0, directed="merge").link_capacity.tolist() == [5.0, 7.0]
+
+
+def test_a_file_of_arcs_in_one_direction_only_is_read_as_links(tmp_path):
+    """As SNDlib's GML, yEd and Gephi write networks whose links serve both directions."""
+    path = arcs(tmp_path, ("b", "a", 5, 1))
+    assert any("no arc has one back" in message for message in all_warnings(path))
+    with pytest.warns(ScenarioWarning, match="is directed, but no arc has one back"):
+        assert read_topology(path, 0).link_capacity.tolist() == [5.0]
 
 
 def test_directed_must_be_known():

@@ -10,7 +10,9 @@ import networkx as nx
 import pytest
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.scenario import graph_files, graphml
+from nfv_torchrl.scenario import graph_files
+from nfv_torchrl.scenario.formats import graph as graphs
+from nfv_torchrl.scenario.formats import xml
 from nfv_torchrl.scenario.graph_files import GraphFile, read_graph_file
 
 HEAD = '<graphml xmlns="http://graphml.graphdrawing.org/xmlns">'
@@ -221,14 +223,14 @@ def test_refuses_what_is_no_json(text, tmp_path):
 
 
 def test_limits(tmp_path, monkeypatch):
-    monkeypatch.setattr(graph_files, "MAX_NODES", 2)
+    monkeypatch.setattr(graphs, "MAX_NODES", 2)
     with pytest.raises(ScenarioError, match=r"has 3 nodes, and one table .* take 0.0 GB; .* at most 2 nodes"):
         read(tmp_path, HEAD + GRAPHML, "n.graphml")
-    monkeypatch.setattr(graph_files, "MAX_NODES", 3)
-    monkeypatch.setattr(graph_files, "MAX_LINKS", 1)
+    monkeypatch.setattr(graphs, "MAX_NODES", 3)
+    monkeypatch.setattr(graphs, "MAX_LINKS", 1)
     with pytest.raises(ScenarioError, match=r"has 2 links; give a network of at most 1"):
         read(tmp_path, HEAD + GRAPHML, "n.graphml")
-    monkeypatch.setattr(graphml, "MAX_ENTRIES", 4)
+    monkeypatch.setattr(xml, "MAX_ENTRIES", 4)
     with pytest.raises(ScenarioError, match=r"has more than 4 elements"):
         read(tmp_path, HEAD + GRAPHML, "n.graphml")
     monkeypatch.setattr(graph_files, "MAX_ENTRIES", 2)
