@@ -47,6 +47,18 @@ def link_resource(link, nodes, vms):
 
 
 @register_jitable
+def use_of(profile, part, functions):
+    """A function of a profile, or a segment of it, as one number; chains have at most ``functions`` functions."""
+    return profile * (functions + 1) + part
+
+
+@register_jitable
+def split_use(use, functions):
+    """(profile, function or segment) of such a number."""
+    return use // (functions + 1), use % (functions + 1)
+
+
+@register_jitable
 def split_vm(resource, vms):
     """(node, VM) of a resource that is a VM."""
     return resource // vms, resource % vms

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.kinds import CPU
 from nfv_torchrl.scenario.scenario import Scenario
 
 NAMING = ("path", "checkpoint", "init_from", "dataset")
@@ -38,17 +39,34 @@ def world_digests(scenarios: Iterable[Scenario]) -> dict[str, str]:
     for scenario in scenarios:
         names = [field.name for field in dataclasses.fields(scenario.substrate) if field.name not in _FOR_PEOPLE]
         for name in names:
-            _add(parts["network"], getattr(scenario.substrate, name))
+            if name not in _NEWER or _is_used(getattr(scenario.substrate, name)):
+                _add(parts["network"], getattr(scenario.substrate, name))
         _add(parts["services"], (scenario.catalogue.types, dict(scenario.catalogue.vnfs)))
+        for service in scenario.catalogue.types:  # newer attributes are not in its repr
+            if (service.rates, service.ingress, service.egress) != (None, None, None):
+                _add(parts["services"], (service.rates, service.ingress, service.egress))
+        if scenario.catalogue.resources != CPU:
+            _add(parts["services"], scenario.catalogue.resources)
         _add(parts["endpoints"], scenario.endpoint_pairs)
         if scenario.workload_path is not None:
             for name in ("slot", "service", "ingress", "egress", "lifetime"):
                 _add(parts["workload"], getattr(scenario.file_workload, name))
+            if scenario.file_workload.own is not None:
+                for part in (scenario.file_workload.profile, *vars(scenario.file_workload.own).values()):
+                    _add(parts["workload"], part)
     return {name: digest.hexdigest() for name, digest in parts.items()}
 
 
 _FOR_PEOPLE = ("name", "labels", "ids", "coordinates")
 """Of a substrate: what decides nothing."""
+
+
+_NEWER = ("resources", "extra_capacity", "extra_unit_cost", "back_capacity")
+"""Left out where they are not used, so that fingerprints of older runs stay."""
+
+
+def _is_used(value: Any) -> bool:
+    return isinstance(value, np.ndarray) or (value is not None and value != ("cpu",))
 
 
 def _add(digest: Any, value: Any) -> None:

@@ -102,12 +102,14 @@ def cost_scale(tables: Tables, net: np.ndarray) -> CostScale:
 
 def _largest_step(tables: Tables, row: int) -> float:
     """Place on a node's dearest VM after entering the node by its dearest link."""
+    loads, rates = tables.load.max(axis=1), tables.rate.max(axis=1)
     largest = 0.0
     for node in range(tables.num_nodes[row]):
-        vm = tables.vm_unit_cost[row, node, : tables.vm_count[row, node]].max()
+        unit_costs = tables.vm_unit_cost[row, node, : tables.vm_count[row, node]]
+        vm = (unit_costs.max(axis=0) * loads).sum(axis=1) if len(unit_costs) else np.zeros(len(loads))
         links = tables.neighbour_link[row, node, : tables.degree[row, node]]
         link = tables.link_unit_cost[row, links].max()
-        largest = max(largest, float((vm * tables.load.max(axis=1) + link * tables.rate).max()))
+        largest = max(largest, float((vm + link * rates).max()))
     return largest
 
 
@@ -121,5 +123,5 @@ def _largest_request(tables: Tables, row: int) -> float:
     while not reach.all():
         reach = reach @ step
         diameter += 1
-    vm, link = tables.vm_unit_cost[row].max(), tables.link_unit_cost[row, :links].max()
-    return float((vm * tables.load.sum(axis=1) + link * diameter * tables.rate).max())
+    vm, link = tables.vm_unit_cost[row].max(axis=(0, 1)), tables.link_unit_cost[row, :links].max()
+    return float(((vm * tables.load.sum(axis=1)).sum(axis=1) + link * diameter * tables.rate.max(axis=1)).max())

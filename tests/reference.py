@@ -37,12 +37,15 @@ def decode(action: int, vms: int) -> tuple[int, int, bool]:
 
 @dataclass
 class Service:
-    """One service type: what each function of its chain takes."""
+    """One profile, such as a service type: what each function of its chain takes of each kind of resources."""
 
-    rate: float  # Mbit/s
-    rate_units: int
-    loads: list[float]  # Mcycles/s, in the order of the chain
-    load_units: list[int]
+    kind: int  # the type it counts as
+    rates: list[float]  # Mbit/s, of each segment
+    rate_units: list[int]
+    loads: list[list[float]]  # Mcycles/s or the unit of the kind, in the order of the chain
+    load_units: list[list[int]]
+    work: list[float]  # Mcycles/s that set the processing delay
+    own_delay: list[float]  # ms beside it
     tolerable_delay: float  # ms
 
 
@@ -52,12 +55,12 @@ class Request:
 
     index: int
     slot: int
-    service: int
-    ingress: int
-    egress: int
+    service: int  # its profile
+    ingress: int | None  # None: free
+    egress: int | None
     departure: int
-    vm_use: dict = field(default_factory=dict)  # (node, vm) -> cycles/s
-    link_use: dict = field(default_factory=dict)  # link -> bit/s
+    vm_use: dict = field(default_factory=dict)  # (node, vm, kind) -> whole units
+    link_use: dict = field(default_factory=dict)  # (tail, head), of a shared link tail < head -> bit/s
     cost: float = 0.0
     steps: list = field(default_factory=list)  # [node, vm, function index or None]
     interrupted_at: int | None = None
@@ -72,7 +75,7 @@ class ReferenceSimulator:
     def __init__(self, scenario, workload, timeline=None):
         self.scenario = scenario
         self._read_substrate(scenario.substrate)
-        self._read_catalogue(scenario.catalogue)
+        self._read_catalogue(scenario.catalogue, workload.own)
         self.requests = [self._read_request(workload, index) for index in range(len(workload.slot))]
         self.events: dict[int, list[tuple[int, bool]]] = {}
         if timeline is not None:
@@ -81,7 +84,7 @@ class ReferenceSimulator:
         # What is reserved now, by running requests and by the walk under way.
         self.vm_reserved = dict.fromkeys(self.vm_capacity, 0)
         self.link_reserved = dict.fromkeys(self.link_capacity, 0)
-        self.failed: set[int] = set()
+        self.failed: set = set()  # (node, VM), and links by the names of their directions
         self.running: list[Request] = []
         self.interrupted: list[Request] = []
         self.slot = 0
@@ -97,58 +100,94 @@ class ReferenceSimulator:
     def _read_substrate(self, substrate) -> None:
         self.nodes = len(substrate.vm_count)
         self.vms = len(substrate.vm_capacity[0])
+        self.kinds = len(substrate.resources)
+        self.machines = [(node, vm) for node in range(self.nodes) for vm in range(int(substrate.vm_count[node]))]
         self.vm_capacity, self.vm_speed, self.vm_unit_cost = {}, {}, {}
-        for node in range(self.nodes):
-            for vm in range(int(substrate.vm_count[node])):
-                self.vm_capacity[node, vm] = units(substrate.vm_capacity[node][vm])
-                self.vm_speed[node, vm] = float(substrate.vm_capacity[node][vm])
-                self.vm_unit_cost[node, vm] = float(substrate.vm_unit_cost[node][vm])
+        for node, vm in self.machines:
+            self.vm_speed[node, vm] = float(substrate.vm_capacity[node][vm])
+            for kind in range(self.kinds):
+                first = kind == 0
+                capacity = substrate.vm_capacity[node][vm] if first else substrate.extra_capacity[node][vm][kind - 1]
+                cost = substrate.vm_unit_cost[node][vm] if first else substrate.extra_unit_cost[node][vm][kind - 1]
+                self.vm_capacity[node, vm, kind] = units(capacity)
+                self.vm_unit_cost[node, vm, kind] = float(cost)
         self.link_between, self.link_capacity, self.link_speed = {}, {}, {}
-        self.link_delay, self.link_unit_cost = {}, {}
-        for link, (u, v) in enumerate(substrate.links):
-            self.link_between[int(u), int(v)] = self.link_between[int(v), int(u)] = link
-            self.link_capacity[link] = units(substrate.link_capacity[link])
-            self.link_speed[link] = float(substrate.link_capacity[link])
-            self.link_delay[link] = float(substrate.link_delay[link])
-            self.link_unit_cost[link] = float(substrate.link_unit_cost[link])
+        self.link_delay, self.link_unit_cost, self.directions = {}, {}, []
+        full = substrate.back_capacity is not None
+        for link, (u, v) in enumerate(substrate.links.tolist()):
+            capacities = {(u, v): substrate.link_capacity[link]}
+            if full:
+                capacities[v, u] = substrate.back_capacity[link]
+            self.directions.append(list(capacities))
+            for name, capacity in capacities.items():
+                self.link_capacity[name] = units(capacity)
+                self.link_speed[name] = float(capacity)
+                self.link_delay[name] = float(substrate.link_delay[link])
+                self.link_unit_cost[name] = float(substrate.link_unit_cost[link])
+            self.link_between[u, v], self.link_between[v, u] = (u, v), (v, u) if full else (u, v)
 
-    def _read_catalogue(self, catalogue) -> None:
-        self.services = []
-        for kind in catalogue.types:
-            requirements = [catalogue.vnfs[name] for name in kind.chain]
-            self.services.append(
-                Service(
-                    rate=kind.rate,
-                    rate_units=units(kind.rate),
-                    loads=[requirement * kind.rate for requirement in requirements],
-                    load_units=[units(requirement, kind.rate) for requirement in requirements],
-                    tolerable_delay=kind.tolerable_delay,
-                )
-            )
-        self.longest_chain = max(len(service.loads) for service in self.services)
+    def _read_catalogue(self, catalogue, own) -> None:
+        self.services = [self._read_service(place, kind, catalogue) for place, kind in enumerate(catalogue.types)]
+        for row in range(0 if own is None else len(own.service)):
+            self.services.append(self._read_profile(own, row))
+        self.longest_chain = max(1, *(len(service.loads) for service in self.services))
         self.delay_to = [self._shortest_delays(service) for service in range(len(self.services))]
+
+    def _read_service(self, place: int, kind, catalogue) -> Service:
+        rates = [kind.rate] * (len(kind.chain) + 1) if kind.rates is None else list(kind.rates)
+        loads, load_units, work, own_delay = [], [], [], []
+        for name, rate in zip(kind.chain, rates, strict=False):
+            needs = catalogue.vnfs[name]
+            needs = needs if isinstance(needs, dict) else {catalogue.resources[0].name: needs}
+            factors = [
+                (needs.get(each.name, 0.0), rate if each.scales_with_rate else 1.0) for each in catalogue.resources
+            ]
+            loads.append([requirement * factor for requirement, factor in factors])
+            load_units.append([units(*pair) for pair in factors])
+            derived = "delay" not in needs and catalogue.resources[0].scales_with_rate
+            work.append(loads[-1][0] if derived else 0.0)
+            own_delay.append(needs.get("delay", 0.0))
+        limit = math.inf if kind.tolerable_delay is None else kind.tolerable_delay
+        return Service(place, rates, [units(rate) for rate in rates], loads, load_units, work, own_delay, limit)
+
+    def _read_profile(self, own, row: int) -> Service:
+        length = int(own.chain_length[row])
+        rates = own.rate[row, : length + 1].tolist()
+        loads = own.amount[row, :length].tolist()
+        return Service(
+            kind=int(own.service[row]),
+            rates=rates,
+            rate_units=[units(rate) for rate in rates],
+            loads=loads,
+            load_units=[[units(amount) for amount in amounts] for amounts in loads],
+            work=own.work[row, :length].tolist(),
+            own_delay=own.fixed_delay[row, :length].tolist(),
+            tolerable_delay=float(own.tolerable_delay[row]),
+        )
 
     def _read_request(self, workload, index: int) -> Request:
         slot = int(workload.slot[index])
+        ingress, egress = int(workload.ingress[index]), int(workload.egress[index])
         return Request(
             index=index,
             slot=slot,
-            service=int(workload.service[index]),
-            ingress=int(workload.ingress[index]),
-            egress=int(workload.egress[index]),
+            service=int(workload.profile[index]),
+            ingress=None if ingress == -1 else ingress,
+            egress=None if egress == -1 else egress,
             departure=slot + max(1, math.ceil(workload.lifetime[index])),
         )
 
-    def hop_delay(self, service: int, link: int) -> float:
+    def hop_delay(self, rate: float, link) -> float:
         """Propagation and transmission of one hop, ms."""
-        return self.link_delay[link] + 1000.0 * self.services[service].rate / self.link_speed[link]
+        return self.link_delay[link] + 1000.0 * rate / self.link_speed[link]
 
     def _shortest_delays(self, service: int) -> dict[tuple[int, int], float]:
-        """Least sum of hop delays between any two nodes (Floyd and Warshall)."""
+        """Least sum of hop delays between any two nodes at a profile's least rate (Floyd and Warshall)."""
+        least = min(self.services[service].rates)
         everywhere = range(self.nodes)
         best = {(a, b): 0.0 if a == b else math.inf for a in everywhere for b in everywhere}
         for (a, b), link in self.link_between.items():
-            best[a, b] = self.hop_delay(service, link)
+            best[a, b] = self.hop_delay(least, link)
         for middle in everywhere:
             for a in everywhere:
                 for b in everywhere:
@@ -157,17 +196,23 @@ class ReferenceSimulator:
 
     # ---- what is available ----------------------------------------------------------------------------------------
 
-    def vm_available(self, node: int, vm: int) -> int:
-        """cycles/s that VM ``vm`` of ``node`` offers now."""
-        if node * self.vms + vm in self.failed:
+    def vm_available(self, node: int, vm: int, kind: int = 0) -> int:
+        """Whole units of a kind (cycles/s of the first) that VM ``vm`` of ``node`` offers now."""
+        if (node, vm) in self.failed:
             return 0
-        return self.vm_capacity[node, vm] - self.vm_reserved[node, vm]
+        return self.vm_capacity[node, vm, kind] - self.vm_reserved[node, vm, kind]
 
-    def link_available(self, link: int) -> int:
+    def link_available(self, link) -> int:
         """bit/s that ``link`` offers now."""
-        if self.nodes * self.vms + link in self.failed:
+        if ("link", link) in self.failed:
             return 0
         return self.link_capacity[link] - self.link_reserved[link]
+
+    def _what_fails(self, resource: int) -> list:
+        """A VM, or both directions of a link, by the number of a failure timeline."""
+        if resource < self.nodes * self.vms:
+            return [divmod(resource, self.vms)]
+        return [("link", name) for name in self.directions[resource - self.nodes * self.vms]]
 
     # ---- slots ----------------------------------------------------------------------------------------------------
 
@@ -178,16 +223,15 @@ class ReferenceSimulator:
                 self._release(request)
         for resource, up in self.events.get(self.slot, []):
             if up:
-                self.failed.discard(resource)
+                self.failed -= set(self._what_fails(resource))
             else:
-                self.failed.add(resource)
-                self._interrupt_users_of(resource)
+                self.failed |= set(self._what_fails(resource))
+                self._interrupt_users_of(set(self._what_fails(resource)))
 
-    def _interrupt_users_of(self, resource: int) -> None:
+    def _interrupt_users_of(self, resources: set) -> None:
         for request in list(self.running):
-            used = {node * self.vms + vm for node, vm in request.vm_use}
-            used |= {self.nodes * self.vms + link for link in request.link_use}
-            if resource in used:
+            used = {(node, vm) for node, vm, _ in request.vm_use} | {("link", link) for link in request.link_use}
+            if used & resources:
                 request.interrupted_at = self.slot
                 self.interrupted.append(request)
                 self._release(request)
@@ -227,7 +271,8 @@ class ReferenceSimulator:
         return None if self.done or self.cursor == len(self.requests) else self.requests[self.cursor]
 
     def _begin_walk(self) -> None:
-        self.current_node = self.request.ingress if self.request else 0
+        self.current_node = self.request.ingress if self.request else 0  # None: off the network
+        self.stands_on = []
         self.function_index = 0
         self.elapsed = 0.0
         self.step_count = 0
@@ -244,43 +289,50 @@ class ReferenceSimulator:
         if self.request is None or not 0 <= action < self.reject:
             return False
         node, vm, place = decode(action, self.vms)
-        if (node, vm) not in self.vm_capacity:
+        here = self.current_node
+        there = any(machine == (node, vm) for machine in self.machines)
+        # A node without VMs is named with VM 0, by a step that only forwards.
+        if not there and (place or vm > 0 or any(machine[0] == node for machine in self.machines)):
             return False
-        functions_left = self.function_index < len(self.services[self.request.service].loads)
-        if place and not functions_left:
+        if node >= self.nodes or (place and self.function_index == len(self.services[self.request.service].loads)):
             return False
-        if node == self.current_node:
-            at_egress = self.current_node == self.request.egress
-            return place and (at_egress or self.scenario.colocation)
-        if self.current_node == self.request.egress:
+        distinct = self.scenario.placement == "distinct"
+        if place and distinct and node in self.stands_on:
             return False
-        return (self.current_node, node) in self.link_between
+        if here is None:
+            return place
+        if node == here:
+            return place and (here == self.request.egress or self.scenario.colocation or distinct)
+        if here == self.request.egress and not distinct:
+            return False
+        return (here, node) in self.link_between
 
     def _step_parts(self, action: int):
-        """(VM or None, cycles/s), (link or None, bit/s), delay in ms, cost in $ of an action in A_p."""
+        """What an action in A_p takes of VMs and of links, by name in whole units; its delay in ms, its cost in $."""
         node, vm, place = decode(action, self.vms)
         service = self.services[self.request.service]
+        place_here = self.function_index
         delay = cost = 0.0
-        link = machine = None
-        load = 0
-        if node != self.current_node:
+        vm_use, link_use = {}, {}
+        if self.current_node is not None and node != self.current_node:
             link = self.link_between[self.current_node, node]
-            delay += self.hop_delay(self.request.service, link)
-            cost += self.link_unit_cost[link] * service.rate
+            rate = service.rates[place_here]
+            link_use[link] = service.rate_units[place_here]
+            delay += self.hop_delay(rate, link)
+            cost += self.link_unit_cost[link] * rate
         if place:
-            machine = (node, vm)
-            load = service.load_units[self.function_index]
-            megacycles = service.loads[self.function_index]
-            delay += 1000.0 * megacycles / self.vm_speed[machine]
-            cost += self.vm_unit_cost[machine] * megacycles
-        return machine, load, link, service.rate_units, delay, cost
+            delay += service.own_delay[place_here] + 1000.0 * service.work[place_here] / self.vm_speed[node, vm]
+            for kind in range(self.kinds):
+                vm_use[node, vm, kind] = service.load_units[place_here][kind]
+                cost += self.vm_unit_cost[node, vm, kind] * service.loads[place_here][kind]
+        return vm_use, link_use, delay, cost
 
     def failed_check(self, action: int) -> str | None:
         """The first check of Algorithm 3 that an action in A_p fails, None if it passes them all."""
-        machine, load, link, rate, delay, _ = self._step_parts(action)
-        if link is not None and self.link_available(link) < rate:
+        vm_use, link_use, delay, _ = self._step_parts(action)
+        if any(self.link_available(link) < rate for link, rate in link_use.items()):
             return LINK_CAPACITY
-        if machine is not None and self.vm_available(*machine) < load:
+        if any(self.vm_available(*name) < load for name, load in vm_use.items()):
             return VM_CAPACITY
         if self.elapsed + delay > self.services[self.request.service].tolerable_delay + TOLERANCE_MS:
             return DELAY
@@ -291,8 +343,9 @@ class ReferenceSimulator:
     def _egress_within_reach(self, action: int) -> bool:
         """Could the egress still be reached in time after ``action``, were every link free and processing instant?"""
         node, _, _ = decode(action, self.vms)
-        delay = self._step_parts(action)[4]
-        still_to_go = self.delay_to[self.request.service][node, self.request.egress]
+        delay = self._step_parts(action)[2]
+        free = self.request.egress is None
+        still_to_go = 0.0 if free else self.delay_to[self.request.service][node, self.request.egress]
         budget = self.services[self.request.service].tolerable_delay
         return self.elapsed + delay + still_to_go <= budget + TOLERANCE_MS
 
@@ -326,8 +379,7 @@ class ReferenceSimulator:
         step_cost = 0.0
         if reason is None:
             step_cost = self._reserve(action)
-        chain = self.services[request.service].loads
-        accepted = reason is None and self.current_node == request.egress and self.function_index == len(chain)
+        accepted = reason is None and self.is_complete()
         result = {
             "passed": reason is None,
             "reason": reason,
@@ -349,6 +401,11 @@ class ReferenceSimulator:
         result["done"] = self.done
         return result
 
+    def is_complete(self) -> bool:
+        """Has the walk placed its chain, and come to the egress if that is not free?"""
+        chain = self.services[self.request.service].loads
+        return self.function_index == len(chain) and self.request.egress in (None, self.current_node)
+
     def _refusal(self, action: int) -> str | None:
         if action == self.reject:
             if not any(self.mask()[:-1]):
@@ -362,17 +419,19 @@ class ReferenceSimulator:
         """Take what ``action`` needs, move on, and return the step's cost."""
         request = self.request
         node, vm, _ = decode(action, self.vms)
-        machine, load, link, rate, delay, cost = self._step_parts(action)
-        if link is not None:
+        vm_use, link_use, delay, cost = self._step_parts(action)
+        place = bool(vm_use)
+        for link, rate in link_use.items():
             self.link_reserved[link] += rate
             request.link_use[link] = request.link_use.get(link, 0) + rate
             self.hops += 1
-        if machine is not None:
-            self.vm_reserved[machine] += load
-            request.vm_use[machine] = request.vm_use.get(machine, 0) + load
-        request.steps.append([node, vm, None if machine is None else self.function_index])
+        for name, load in vm_use.items():
+            self.vm_reserved[name] += load
+            request.vm_use[name] = request.vm_use.get(name, 0) + load
+        request.steps.append([node, vm, self.function_index if place else None])
         request.cost += cost
-        self.function_index += machine is not None
+        self.function_index += place
+        self.stands_on = [*self.stands_on, node] if place else self.stands_on
         self.current_node = node
         self.last_vm = vm
         self.elapsed += delay
@@ -386,11 +445,12 @@ class ReferenceSimulator:
         shares = []
         for node in range(self.nodes):
             for vm in range(self.vms):
-                if (node, vm) in self.vm_capacity:
-                    capacity = self.vm_capacity[node, vm]
-                    shares.append(used_share(capacity, self.vm_available(node, vm)))
-                else:
-                    shares.append(0.0)
+                for kind in range(self.kinds):
+                    if (node, vm) in self.machines:
+                        capacity = self.vm_capacity[node, vm, kind]
+                        shares.append(used_share(capacity, self.vm_available(node, vm, kind)))
+                    else:
+                        shares.append(0.0)
         for link, capacity in self.link_capacity.items():
             shares.append(used_share(capacity, self.link_available(link)))
         if self.request is None:
@@ -398,7 +458,7 @@ class ReferenceSimulator:
         return [
             *shares,
             self._service_share(),
-            share(self.current_node, self.nodes - 1),
+            share(-1 if self.current_node is None else self.current_node, self.nodes - 1),
             share(self.last_vm, self.vms - 1),
             share(self.function_index, self.longest_chain),
             share(self.elapsed, self.services[self.request.service].tolerable_delay),
@@ -406,12 +466,14 @@ class ReferenceSimulator:
 
     def _service_share(self) -> float:
         """Index of the service among the K services of the scenario, scaled to [0, 1]."""
-        kind = self.request.service
+        kind = self.services[self.request.service].kind
         if self.scenario.endpoints == "uniform":
-            return share(kind, len(self.services) - 1)
+            return share(kind, len(self.scenario.catalogue.types) - 1)
         pairs = [[(int(a), int(b)) for a, b in of_kind] for of_kind in self.scenario.endpoint_pairs]
         each = len(pairs[0])
         endpoints = (self.request.ingress, self.request.egress)
+        if None in endpoints:
+            return share(kind * each, len(pairs) * each - 1)  # on no pair, so it reads as the first of its service
         if endpoints not in pairs[kind]:
             return 1.0  # a workload file may hold pairs of its own
         return share(kind * each + pairs[kind].index(endpoints), len(pairs) * each - 1)
@@ -435,7 +497,6 @@ def cheapest_walk(simulator: ReferenceSimulator) -> tuple[float, list[int]] | No
     """
     best: tuple[float, list[int]] | None = None
     request = simulator.request
-    chain = simulator.services[request.service].loads
 
     def extend(actions: list[int]) -> None:
         nonlocal best
@@ -443,7 +504,7 @@ def cheapest_walk(simulator: ReferenceSimulator) -> tuple[float, list[int]] | No
             tie = abs(request.cost - best[0]) <= 1e-9
             if (tie and len(actions) >= len(best[1])) or (not tie and request.cost > best[0]):
                 return
-        if simulator.current_node == request.egress and simulator.function_index == len(chain):
+        if simulator.is_complete():
             best = (request.cost, actions)
             return
         for action in range(simulator.reject):
@@ -457,7 +518,7 @@ def cheapest_walk(simulator: ReferenceSimulator) -> tuple[float, list[int]] | No
     return best
 
 
-_WALK = ("current_node", "function_index", "elapsed", "step_count", "hops", "last_vm")
+_WALK = ("current_node", "function_index", "elapsed", "step_count", "hops", "last_vm", "stands_on")
 
 
 def _remember(simulator: ReferenceSimulator) -> tuple:

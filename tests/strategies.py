@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from hypothesis import strategies as st
 
 from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline
+from nfv_torchrl.scenario.kinds import Resource
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.scenario.services import ServiceCatalogue, ServiceType
+from nfv_torchrl.scenario.services import FREE, ServiceCatalogue, ServiceType
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.workload import Workload
 
@@ -75,6 +77,54 @@ def catalogues(draw, max_types: int = 3) -> ServiceCatalogue:
     return ServiceCatalogue(types=types, vnfs={name: draw(tenths(0.5, 15)) for name in VNFS})
 
 
+def general_substrates(draw, kinds: int) -> Substrate:
+    """A network of the general model: nodes that only forward, several kinds of resources, full duplex."""
+    plain = draw(substrates())
+    count = np.array([draw(st.sampled_from([0, here, here])) for here in plain.vm_count.tolist()])
+    count = count if count.any() else plain.vm_count
+    exists = np.arange(plain.max_vms) < count[:, None]
+    more = np.array(draw(_list_of(tenths(2, 60), exists.size * (kinds - 1)))).reshape(*exists.shape, kinds - 1)
+    back = draw(_list_of(tenths(1, 10), plain.num_links)) if draw(st.booleans()) else None
+    return replace(
+        plain,
+        vm_count=count,
+        vm_capacity=np.where(exists, plain.vm_capacity, 0.0),
+        vm_unit_cost=np.where(exists, plain.vm_unit_cost, 0.0),
+        resources=("cpu", "memory")[:kinds],
+        extra_capacity=more * exists[..., None] if kinds > 1 else None,
+        extra_unit_cost=np.where(exists[..., None], 0.5, 0.0) * np.ones(kinds - 1) if kinds > 1 else None,
+        back_capacity=None if back is None else np.array(back),
+    )
+
+
+def general_catalogues(draw, kinds: int) -> ServiceCatalogue:
+    """Services with rates of their own for each segment, free ends, no delay limit, no chain, a fixed delay."""
+    resources = (Resource("cpu", draw(st.booleans())), Resource("memory", False))[:kinds]
+    vnfs = {}
+    for name in VNFS:
+        vnfs[name] = {"cpu": draw(tenths(0.5, 15)), **({"memory": draw(tenths(1, 20))} if kinds > 1 else {})}
+        if draw(st.booleans()):
+            vnfs[name]["delay"] = draw(tenths(0, 200))
+    types = []
+    for kind in range(draw(st.integers(1, 3))):
+        chain = tuple(draw(st.lists(st.sampled_from(VNFS), max_size=4)))
+        ends = [draw(st.sampled_from([None, "any"])) if chain else None for _ in range(2)]
+        rates = draw(_list_of(tenths(0.1, 2), len(chain) + 1)) if draw(st.booleans()) else None
+        limit = draw(st.sampled_from([None, 400.0, 1500.0, 5000.0, 30000.0]))
+        types.append(ServiceType(f"service {kind}", chain, draw(tenths(0.1, 2)), limit, 1.0, rates, *ends))
+    return ServiceCatalogue(tuple(types), vnfs, resources)
+
+
+@st.composite
+def general_instances(draw, **fixed) -> Instance:
+    """What ``instances`` draws, with every option of the general model."""
+    kinds = draw(st.integers(1, 2))
+    substrate, catalogue = general_substrates(draw, kinds), general_catalogues(draw, kinds)
+    if draw(st.booleans()):
+        fixed |= {"colocation": False, "placement": "distinct"}
+    return draw(instances(substrate=substrate, catalogue=catalogue, general=True, **fixed))
+
+
 @st.composite
 def scenarios(draw, failures: bool = True, **fixed) -> Scenario:
     """Any combination of the options; ``fixed`` are attributes of the scenario that shall not vary."""
@@ -111,10 +161,12 @@ def _endpoint_pairs(draw, nodes: int, types: int) -> np.ndarray:
 
 
 @st.composite
-def workloads(draw, scenario: Scenario, min_requests: int = 1, max_requests: int = 12) -> Workload:
+def workloads(
+    draw, scenario: Scenario, min_requests: int = 1, max_requests: int = 12, general: bool = False
+) -> Workload:
     """Requests the scenario could see, in order of slots, some slots without any."""
     requests = draw(
-        st.lists(_requests(scenario), min_size=min_requests, max_size=max_requests).map(
+        st.lists(_requests(scenario, general), min_size=min_requests, max_size=max_requests).map(
             lambda several: sorted(several, key=lambda request: request[0])
         )
     )
@@ -123,25 +175,30 @@ def workloads(draw, scenario: Scenario, min_requests: int = 1, max_requests: int
 
 
 @st.composite
-def _requests(draw, scenario: Scenario) -> tuple[int, int, int, int, float]:
+def _requests(draw, scenario: Scenario, general: bool) -> tuple[int, int, int, int, float]:
     slot = draw(st.integers(0, scenario.horizon - 1))
     service = draw(st.integers(0, len(scenario.catalogue.types) - 1))
+    kind = scenario.catalogue.types[service]
     if scenario.endpoint_pairs is not None:
         ingress, egress = draw(st.sampled_from(scenario.endpoint_pairs[service].tolist()))
     else:
         ingress = draw(st.integers(0, scenario.substrate.num_nodes - 1))
-        # The egress is any node but the ingress.
-        egress = (ingress + draw(st.integers(1, scenario.substrate.num_nodes - 1))) % scenario.substrate.num_nodes
+        # The egress is any node but the ingress, unless the whole walk may stay on one node.
+        least = 0 if general and kind.chain else 1
+        egress = (ingress + draw(st.integers(least, scenario.substrate.num_nodes - 1))) % scenario.substrate.num_nodes
+    ingress, egress = (FREE if end else node for end, node in ((kind.ingress, ingress), (kind.egress, egress)))
     # Whole lifetimes and those just beside them try the rounding of the departure slot.
     lifetime = draw(st.sampled_from([0.01, 0.99, 1.0, 1.01, 2.0, 4.5, 50.0]))
     return slot, service, ingress, egress, lifetime
 
 
 @st.composite
-def instances(draw, failures: bool = True, min_requests: int = 1, max_requests: int = 12, **fixed) -> Instance:
+def instances(
+    draw, failures: bool = True, min_requests: int = 1, max_requests: int = 12, general: bool = False, **fixed
+) -> Instance:
     """A scenario, a workload for it and its failure timeline."""
     scenario = draw(scenarios(failures=failures, **fixed))
-    workload = draw(workloads(scenario, min_requests, max_requests))
+    workload = draw(workloads(scenario, min_requests, max_requests, general))
     return Instance(scenario, workload, scenario.failure_timeline(draw(st.integers(0, 1000))))
 
 

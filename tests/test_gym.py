@@ -229,8 +229,8 @@ def test_a_picture_shows_what_is_used_and_where_the_walk_is():
     picture = envs._picture
     node_use, link_use = picture._use(0)
     world = envs.simulator.world
-    capacity = world.tables.vm_capacity[0]
-    np.testing.assert_allclose(node_use, 1 - world.ledger.vm_offered[0].sum(1) / capacity.sum(1), atol=1e-3)
+    capacity = world.tables.vm_capacity[0, :, :, 0]
+    np.testing.assert_allclose(node_use, 1 - world.ledger.vm_offered[0, :, :, 0].sum(1) / capacity.sum(1), atol=1e-3)
     np.testing.assert_allclose(link_use, 1 - world.ledger.link_offered[0] / world.tables.link_capacity[0], atol=1e-3)
     assert node_use.sum() > 0 and link_use.sum() > 0
     single = NFVGymEnv(scenario)

@@ -127,7 +127,7 @@ def rows_of(simulator: Simulator, b: int = 0) -> dict[int, dict[str, float]]:
     assert sorted(actions[used].tolist()) == np.flatnonzero(simulator.world.seen.mask[b]).tolist()
     assert (actions[~used] == reject).all()
     assert not candidates["features"][~candidates["mask"]].any()
-    names = [*FEATURES, *(f"service {kind}" for kind in range(simulator.tables.load.shape[0]))]
+    names = [*FEATURES, *(f"service {kind}" for kind in range(simulator.tables.services))]
     rows = candidates["features"][candidates["mask"]].tolist()
     return {a: dict(zip(names, row, strict=True)) for a, row in zip(actions[used].tolist(), rows, strict=True)}
 

@@ -37,8 +37,8 @@ def play(simulator, actions):
 
 def reserved(simulator):
     """What is taken, in Mcycles/s and Mbit/s."""
-    vms = {key: amount / 1e6 for key, amount in simulator.vm_reserved.items() if amount}
-    links = {key: amount / 1e6 for key, amount in simulator.link_reserved.items() if amount}
+    vms = {key[:2]: amount / 1e6 for key, amount in simulator.vm_reserved.items() if amount}
+    links = {link: amount / 1e6 for link, amount in enumerate(simulator.link_reserved.values()) if amount}
     return vms, links
 
 
@@ -177,7 +177,7 @@ def test_a_whole_horizon():
 
     # 2.0 has 10 left: B does not fit, A comes back. Slot 1 ends with three running, slot 2 begins with their departure.
     simulator.step(action(1, 0, True))
-    assert simulator.vm_reserved[1, 0] == 20_000_000
+    assert simulator.vm_reserved[1, 0, 0] == 20_000_000
     result = simulator.step(action(2, 0, True))
     assert (result["passed"], result["reason"], result["request_done"]) == (False, VM_CAPACITY, True)
     assert (result["step_cost"], result["request_cost"]) == (0, 0)

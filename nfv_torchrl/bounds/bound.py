@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nfv_torchrl.bounds.occupancy import Columns, Occupancy, expected_price, maximise_value, price_of_stay
-from nfv_torchrl.bounds.relaxations import candidate_cuts, crossed, least_cost, least_delay
+from nfv_torchrl.bounds.relaxations import candidate_cuts, crossed, fitting, least_cost, least_delay
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
@@ -144,7 +144,7 @@ def hindsight_least_cost(
 
 
 class _Relaxation:
-    """One workload's programme. A class is a (service, ingress, egress); requests of a class differ in time alone."""
+    """One workload's programme. A class is a (profile, ingress, egress); requests of a class differ in time alone."""
 
     def __init__(
         self,
@@ -158,7 +158,7 @@ class _Relaxation:
         self.scenario, self.failures = scenario, failures or FailureTimeline.empty()
         counts = workload.slot >= scenario.warmup
         self.arrived = int(counts.sum())
-        requests = np.stack([workload.service, workload.ingress, workload.egress])[:, counts]
+        requests = np.stack([workload.profile, workload.ingress, workload.egress])[:, counts]
         self.classes, kind = np.unique(requests, axis=1, return_inverse=True)
         kind = kind.ravel()  # one NumPy release returns it as a row
         possible = self._possible()[kind]
@@ -167,20 +167,26 @@ class _Relaxation:
         self.until, self.keep = self._stays(workload.departure[self.rows], mean_lifetime)
         self.active: list[int] = []  # rows of self.cuts in the programme
         self.fraction = np.zeros(self.kind.size)  # of each request, at the optimum
-        loads = to_ledger(scenario.catalogue.load).sum(axis=1) / LEDGER_UNITS
-        self.class_load = loads[self.classes[0]]
-        self.class_rate = (to_ledger(scenario.catalogue.rate) / LEDGER_UNITS)[self.classes[0]]
+        profiles = scenario.profiles
+        loads = to_ledger(profiles.amount).sum(axis=1) / LEDGER_UNITS
+        self.class_load = loads[self.classes[0]].T  # [kinds, C]
+        segments = np.arange(profiles.rate.shape[1]) <= profiles.chain_length[:, None]
+        least_rate = np.where(segments, profiles.rate, np.inf).min(axis=1)
+        self.class_rate = (to_ledger(least_rate) / LEDGER_UNITS)[self.classes[0]]
         self._place_cuts()
 
     def _possible(self) -> np.ndarray:
         """Classes, bool [C], that fit into the empty network within their tolerable delay."""
         possible = np.zeros(self.classes.shape[1], dtype=bool)
-        for service in np.unique(self.classes[0]):
-            mine = self.classes[0] == service
-            delay = least_delay(self.scenario, int(service))[self.classes[1, mine], self.classes[2, mine]]
+        for profile in np.unique(self.classes[0]):
+            mine = self.classes[0] == profile
+            tolerable = self.scenario.profiles.tolerable_delay[profile]
+            if np.isinf(tolerable):
+                possible[mine] = fitting(self.scenario, int(profile)).any(axis=(1, 2)).all()
+                continue
+            delay = least_delay(self.scenario, int(profile))[self.classes[1, mine], self.classes[2, mine]]
             # Sums taken in another order may differ by more than the simulator's tolerance, never by 1e-6 ms.
-            budget = self.scenario.catalogue.tolerable_delay[service] + DELAY_TOLERANCE + 1e-6
-            possible[mine] = delay <= budget
+            possible[mine] = delay <= tolerable + DELAY_TOLERANCE + 1e-6
         return possible
 
     def _stays(self, departure: np.ndarray, mean_lifetime: float | None) -> tuple[np.ndarray, np.ndarray]:
@@ -199,15 +205,37 @@ class _Relaxation:
 
     def _place_cuts(self) -> None:
         substrate, horizon = self.scenario.substrate, self.scenario.horizon
-        vm_units, link_units = to_ledger(substrate.vm_capacity).ravel(), to_ledger(substrate.link_capacity)
-        self.pool = (vm_units.sum() + self._failed(vm_units, 0).sum(axis=0)) / LEDGER_UNITS
-        self.cuts = candidate_cuts(substrate)
-        self.pairs, self.class_pair = np.unique(np.sort(self.classes[1:], axis=0), axis=1, return_inverse=True)
+        vm_units = to_ledger(substrate.capacity_by_kind).reshape(-1, len(self.class_load))
+        pools = [(units.sum() + self._failed(units, 0).sum(axis=0)) / LEDGER_UNITS for units in vm_units.T]
+        self.pools = np.stack([np.broadcast_to(pool, (horizon,)) for pool in pools])  # [kinds, T]
+        sets, (u, v) = candidate_cuts(substrate), substrate.links.T
+        if substrate.full_duplex:  # what leaves a set and what enters it share nothing
+            sets = np.concatenate([sets, ~sets])
+        self.cuts = sets
+        ends = self.classes[1:] if substrate.full_duplex else np.sort(self.classes[1:], axis=0)
+        self.pairs, self.class_pair = np.unique(ends, axis=1, return_inverse=True)
         self.class_pair = self.class_pair.ravel()
-        self.crosses = crossed(self.cuts, self.pairs.T)  # [M, P]
-        links_of = crossed(self.cuts, substrate.links).astype(np.float64)  # [M, L]
-        offered = (link_units[:, None] + self._failed(link_units, vm_units.size)) / LEDGER_UNITS
-        self.cut_capacity = np.broadcast_to(links_of @ offered, (len(self.cuts), horizon))
+        self.crosses = self._crossing()  # [M, P]
+        links_of = crossed(sets, substrate.links).astype(np.float64)  # [M, L]
+        self.cut_capacity = self._over_cuts(links_of, substrate.link_capacity, len(vm_units))
+        if substrate.back_capacity is not None:
+            there, back = (sets[:, u] & ~sets[:, v]).astype(np.float64), (sets[:, v] & ~sets[:, u]).astype(np.float64)
+            self.cut_capacity = self._over_cuts(there, substrate.link_capacity, len(vm_units))
+            self.cut_capacity = self.cut_capacity + self._over_cuts(back, substrate.back_capacity, len(vm_units))
+
+    def _over_cuts(self, links_of: np.ndarray, capacity: np.ndarray, first: int) -> np.ndarray:
+        """Capacity of sets of links float64 [M, L] over time, Mbit/s, float64 [M, T]; ``first``: number of link 0."""
+        units = to_ledger(capacity)
+        offered = (units[:, None] + self._failed(units, first)) / LEDGER_UNITS
+        return np.broadcast_to(links_of @ offered, (len(links_of), self.scenario.horizon))
+
+    def _crossing(self) -> np.ndarray:
+        """Which pairs of ends have to cross which cuts, bool [M, P]; a request with a free end has to cross none."""
+        ingress, egress = self.pairs
+        crosses = self.cuts[:, ingress] & ~self.cuts[:, egress]
+        if not self.scenario.substrate.full_duplex:
+            crosses = crossed(self.cuts, self.pairs.T)
+        return crosses & (ingress >= 0) & (egress >= 0)
 
     def _failed(self, units: np.ndarray, first: int) -> np.ndarray:
         """What failures take from each resource, int64 [resources, T] (or [resources, 1] if nothing fails), <= 0."""
@@ -247,11 +275,10 @@ class _Relaxation:
         groups, column_of, count = np.unique(keys, axis=1, return_inverse=True, return_counts=True)
         look = looks[:, groups[0]]
         columns = Columns(groups[1], groups[2], count.astype(np.float64), look[:-1], look[-1])
-        pool = np.broadcast_to(self.pool, (self.scenario.horizon,))
-        return columns, np.vstack([pool, self.cut_capacity[self.active]]), column_of.ravel()
+        return columns, np.vstack([self.pools, self.cut_capacity[self.active]]), column_of.ravel()
 
     def _demand(self, cuts: int) -> np.ndarray:
-        """What a request of each class takes of the pool and the first ``cuts`` active cuts, float64 [1 + cuts, C]."""
+        """What a request of each class takes of the pools and the first ``cuts`` active cuts, float64 [R + cuts, C]."""
         crossing = self.crosses[self.active[:cuts]][:, self.class_pair]
         return np.vstack([self.class_load, crossing * self.class_rate])
 
@@ -260,7 +287,7 @@ class _Relaxation:
         prices = self.solve().prices
         until, _ = self._stays(workload.departure[self.rows], None)
         spared = expected_price(prices, self.keep)[:, self.slot] - price_of_stay(prices, self.slot, until)
-        demand = self._demand(len(prices) - 1)[:, self.kind]
+        demand = self._demand(len(prices) - len(self.class_load))[:, self.kind]
         return float((demand * spared).sum(axis=0)[accepted[self.rows]].sum())
 
     def _activate_violated(self) -> bool:
@@ -282,7 +309,7 @@ class _Relaxation:
     def bound(self, kind: str, accepted: float) -> Bound:
         """Wrap up after ``solve``."""
         accepted = min(accepted, float(self.kind.size))
-        services = self.classes[0, self.kind]
+        services = self.scenario.profiles.service[self.classes[0, self.kind]]
         return Bound(
             kind=kind,
             accepted=accepted,
@@ -295,9 +322,9 @@ class _Relaxation:
     def least_cost(self, accepted: float) -> float:
         """Lagrangian bound: requests earn the price of the count less their cost, so many prices are due."""
         cost = np.zeros(self.classes.shape[1])
-        for service in np.unique(self.classes[0]):
-            mine = self.classes[0] == service
-            cost[mine] = least_cost(self.scenario, int(service))[self.classes[1, mine], self.classes[2, mine]]
+        for profile in np.unique(self.classes[0]):
+            mine = self.classes[0] == profile
+            cost[mine] = least_cost(self.scenario, int(profile))[self.classes[1, mine], self.classes[2, mine]]
         cost[~np.isfinite(cost)] = 0.0  # impossible classes are in no group
         solution = self.solve(-cost, at_least=accepted)
         return max(solution.count_price * accepted - solution.bound, 0.0)

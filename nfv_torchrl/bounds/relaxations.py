@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import networkx as nx
 import numpy as np
 from scipy.sparse import csr_array
@@ -10,50 +12,101 @@ from scipy.sparse.csgraph import dijkstra
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.units import to_ledger
-from nfv_torchrl.simulator.steps import link_cost, link_delay, vm_delay
+from nfv_torchrl.simulator.steps import link_cost, link_delay, vm_cost, vm_delay
 
 ALL_SETS_UP_TO = 10
 """Nodes up to which every set of nodes is looked at as a cut; 2^9 - 1 of them for 10."""
 
 
-def least_delay(scenario: Scenario, service: int) -> np.ndarray:
-    """ms that a request of type ``service`` takes at least on the empty network, float64 [N, N], inf if impossible.
+def least_delay(scenario: Scenario, profile: int) -> np.ndarray:
+    """ms that a request of ``profile`` takes at least on the empty network, float64 [N + 1, N + 1], inf if impossible.
 
-    A relaxation: a link or VM used twice is not counted twice, and a walk may pass through the egress and go on.
+    By ingress and egress; the last row is for a free ingress, the last column for a free egress. A relaxation: a link
+    or VM used twice is not counted twice, functions that may not share a node only not two in a row, and a walk may
+    pass through the egress and go on.
     """
-    substrate, rate = scenario.substrate, scenario.catalogue.rate[service]
-    hop = link_delay(substrate.link_delay, rate, substrate.link_capacity)
+    substrate, profiles = scenario.substrate, scenario.profiles
     speed = np.where(substrate.vm_capacity > 0, substrate.vm_capacity, 1.0)
-    return _least(scenario, service, hop, vm_delay(1.0, speed))
+    length = profiles.chain_length[profile]
+    work, fixed = profiles.work[profile, :length], profiles.fixed_delay[profile, :length]
+    place = fixed[:, None, None] + vm_delay(1.0, speed) * work[:, None, None]
+
+    def hop(rate: float) -> tuple[np.ndarray, np.ndarray]:
+        return tuple(link_delay(substrate.link_delay, rate, capacity) for capacity in _capacities(substrate))
+
+    return _least(scenario, profile, hop, place)
 
 
-def least_cost(scenario: Scenario, service: int) -> np.ndarray:
-    """$ that a request of type ``service`` costs at least, delay ignored, float64 [N, N]; relaxed as the delay is."""
-    substrate, rate = scenario.substrate, scenario.catalogue.rate[service]
-    return _least(scenario, service, link_cost(substrate.link_unit_cost, rate), substrate.vm_unit_cost)
+def least_cost(scenario: Scenario, profile: int) -> np.ndarray:
+    """$ that a request costs at least, delay ignored, float64 [N + 1, N + 1]; relaxed as the delay is."""
+    substrate, profiles = scenario.substrate, scenario.profiles
+    amounts = profiles.amount[profile, : profiles.chain_length[profile]]
+    unit_cost = substrate.unit_cost_by_kind
+    place = sum(vm_cost(unit_cost[:, :, kind], amounts[:, kind, None, None]) for kind in range(profiles.kinds))
+
+    def hop(rate: float) -> tuple[np.ndarray, np.ndarray]:
+        return (link_cost(substrate.link_unit_cost, rate),) * 2
+
+    return _least(scenario, profile, hop, place)
 
 
-def _least(scenario: Scenario, service: int, hop: np.ndarray, per_load: np.ndarray) -> np.ndarray:
-    """Least sum of ``hop`` [L] over links and ``per_load`` [N, V] times the load over placements, [ingress, egress]."""
-    substrate, catalogue = scenario.substrate, scenario.catalogue
-    usable = to_ledger(substrate.link_capacity) >= to_ledger(catalogue.rate)[service]
+def _capacities(substrate: Substrate) -> tuple[np.ndarray, np.ndarray]:
+    """Capacity of each link from its smaller node to the greater and back, Mbit/s, float64 [L]."""
+    back = substrate.back_capacity
+    return substrate.link_capacity, substrate.link_capacity if back is None else back
+
+
+def fitting(scenario: Scenario, profile: int) -> np.ndarray:
+    """Which VMs can hold each function of ``profile`` when they are empty, bool [functions, N, V]."""
+    profiles = scenario.profiles
+    amounts = to_ledger(profiles.amount[profile, : profiles.chain_length[profile]])
+    capacity = to_ledger(scenario.substrate.capacity_by_kind)
+    return (capacity[None] >= amounts[:, None, None, :]).all(axis=3) & (capacity[..., 0] > 0)
+
+
+def _least(
+    scenario: Scenario, profile: int, hop: Callable[[float], tuple[np.ndarray, np.ndarray]], place: np.ndarray
+) -> np.ndarray:
+    """Least sum over a walk, [ingress, egress].
+
+    Args:
+        hop: of a rate, what a hop over each link takes, there and back, float64 [L] each.
+        place: what each function takes on each VM, float64 [functions, N, V].
+    """
+    substrate, rates = scenario.substrate, scenario.profiles.rate[profile]
+    nodes, functions = substrate.num_nodes, len(place)
+    best_place = np.where(fitting(scenario, profile), place, np.inf).min(axis=2)  # [functions, N]
+    at_egress = np.zeros(functions + 1)[:, None] + np.zeros(nodes)
+    at_egress[:-1] = np.cumsum(best_place[::-1], axis=0)[::-1]  # the functions from i on, all at the egress
+    if scenario.placement == "distinct":
+        at_egress[:-1] = np.inf  # the last of them comes there by a hop
+    before = np.full((nodes + 1, nodes), np.inf)  # with i functions placed, being anywhere; from each ingress, or none
+    before[:nodes][np.eye(nodes, dtype=bool)] = 0.0
+    best = np.full((nodes + 1, nodes), np.inf)
+    for i in range(functions + 1):
+        if i == 0 or rates[i] != rates[i - 1]:
+            direct = _direct(substrate, rates[i], hop(rates[i]))
+            route = _shortest(direct)
+            hopping = _min_plus(direct, route)
+        best = np.minimum(best, _min_plus(before, route) + at_egress[i])
+        if i < functions:
+            # Without colocation every function not on the egress comes with a hop of its own, be it there and back.
+            stays = scenario.colocation or (scenario.placement == "distinct" and i == 0)
+            before = _min_plus(before, route if stays else hopping) + best_place[i]
+            if i == 0:
+                before[nodes] = best_place[0]
+    return np.concatenate([best, before.min(axis=1)[:, None]], axis=1)
+
+
+def _direct(substrate: Substrate, rate: float, weights: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """What a hop between neighbours takes, float64 [N, N], inf where no link can carry ``rate``."""
     direct = np.full((substrate.num_nodes,) * 2, np.inf)
-    u, v = substrate.links[usable].T
-    direct[u, v] = direct[v, u] = hop[usable]
-    route = _shortest(direct)
-    # Without colocation every function not on the egress comes with a hop of its own, be it there and back.
-    move = route if scenario.colocation else _min_plus(direct, route)
-    capacity, loads = to_ledger(substrate.vm_capacity), catalogue.load[service, : catalogue.chain_length[service]]
-    fits = (capacity[None] >= to_ledger(loads)[:, None, None]) & (capacity > 0)
-    place = np.where(fits, per_load * loads[:, None, None], np.inf).min(axis=2)  # [functions, N]
-    at_egress = np.zeros(len(loads) + 1)[:, None] + np.zeros(substrate.num_nodes)
-    at_egress[:-1] = np.cumsum(place[::-1], axis=0)[::-1]  # the functions from i on, all at the egress
-    best = route + at_egress[0]
-    before = np.where(np.eye(substrate.num_nodes, dtype=bool), 0.0, np.inf)  # with i functions placed, being anywhere
-    for i in range(len(loads)):
-        before = _min_plus(before, move) + place[i]
-        best = np.minimum(best, _min_plus(before, route) + at_egress[i + 1])
-    return best
+    u, v = substrate.links.T
+    capacities = _capacities(substrate)
+    for tail, head, capacity, weight in ((u, v, capacities[0], weights[0]), (v, u, capacities[1], weights[1])):
+        usable = to_ledger(capacity) >= to_ledger(rate)
+        direct[tail[usable], head[usable]] = weight[usable]
+    return direct
 
 
 def _shortest(direct: np.ndarray) -> np.ndarray:

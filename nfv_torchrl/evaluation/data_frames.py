@@ -28,7 +28,7 @@ def requests_frame(record: RunRecord) -> pd.DataFrame:
     frames = _pandas()
     workload, scenario = record.workload, record.scenario
     names = np.array([kind.name for kind in scenario.catalogue.types], object)
-    labels = np.array(scenario.substrate.labels, object)
+    labels = np.array([*scenario.substrate.labels, "any"], object)  # a free end is -1
     accepted = record.accepted
     reasons = np.where(accepted, None, np.array(REASON_NAMES, object)[record.reason])
     frame = frames.DataFrame(

@@ -215,16 +215,42 @@ def _cut_short(record: RunRecord) -> np.ndarray:
 
 
 def _vm_use(record: RunRecord) -> np.ndarray:
-    """Used share of all VM capacity in every counted slot, [T - warmup]."""
-    # An accepted request places its whole chain, so its load is that of its service.
-    load = to_ledger(record.scenario.catalogue.load).sum(axis=1)[record.workload.service]
-    return _used(record, load, record.scenario.substrate.vm_capacity)
+    """Used share of all VM capacity in every counted slot, [T - warmup]; the mean over the kinds of resources."""
+    # An accepted request places its whole chain, so its load is that of its profile.
+    load = to_ledger(record.scenario.profiles.amount).sum(axis=1)[record.workload.profile]
+    capacity = record.scenario.substrate.capacity_by_kind
+    kinds = range(load.shape[1])
+    return sum(_used(record, load[:, kind], capacity[:, :, kind]) for kind in kinds) / len(kinds)
 
 
 def _link_use(record: RunRecord) -> np.ndarray:
     """The same of all links."""
-    rate = to_ledger(record.scenario.catalogue.rate)[record.workload.service] * record.hops
-    return _used(record, rate, record.scenario.substrate.link_capacity)
+    substrate = record.scenario.substrate
+    capacity = (
+        substrate.link_capacity if not substrate.full_duplex else [substrate.link_capacity, substrate.back_capacity]
+    )
+    return _used(record, carried(record), np.asarray(capacity))
+
+
+def carried(record: RunRecord) -> np.ndarray:
+    """Ledger units that each request takes of all links together, int64 [R]: its segments' rates times their hops."""
+    profiles = record.scenario.profiles
+    rates = to_ledger(profiles.rate)
+    used = np.arange(rates.shape[1]) <= profiles.chain_length[:, None]
+    one_rate = (rates == rates[:, :1]) | ~used
+    rates = rates[record.workload.profile]
+    if one_rate.all():
+        return rates[:, 0] * record.hops
+    request = np.repeat(np.arange(len(rates)), np.diff(record.step_offsets))
+    placed = np.r_[0, np.cumsum(record.step_function >= 0)]
+    segment = placed[:-1] - np.repeat(placed[record.step_offsets[:-1]], np.diff(record.step_offsets))
+    before = np.r_[-1, record.step_node[:-1]]
+    first = record.step_offsets[:-1][np.diff(record.step_offsets) > 0]
+    before[first] = record.workload.ingress[np.diff(record.step_offsets) > 0]
+    hop = record.accepted[request] & (before != record.step_node) & (before >= 0)
+    total = np.zeros(len(rates), np.int64)
+    np.add.at(total, request[hop], rates[request[hop], segment[hop]])
+    return total
 
 
 def _used(record: RunRecord, amount: np.ndarray, capacity: np.ndarray) -> np.ndarray:

@@ -20,6 +20,8 @@ from nfv_torchrl.scenario.substrate import Substrate
 def mean_use(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
     """Mean used share over the horizon of all VMs of each node, float64 [N], and of each link, float64 [L].
 
+    Of the first kind of resources; with full duplex of both directions together.
+
     Interrupted requests count until their interruption.
     """
     scenario, workload = record.scenario, record.workload
@@ -27,25 +29,34 @@ def mean_use(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
     leaves = np.where(record.interrupted_at >= 0, record.interrupted_at, np.minimum(workload.departure, horizon))
     stay = np.where(record.accepted, leaves - workload.slot, 0) / horizon
     request = np.repeat(np.arange(len(stay)), np.diff(record.step_offsets))
-    service = workload.service[request]
+    profile = workload.profile[request]
     # A hop goes from the node of the step before, or from the ingress in a walk's first step.
     before = np.r_[-1, record.step_node[:-1]]
     first = record.step_offsets[:-1][np.diff(record.step_offsets) > 0]
     before[first] = workload.ingress[np.diff(record.step_offsets) > 0]
     taken = record.accepted[request]  # what a rejected request tried uses nothing
-    request, service, before = request[taken], service[taken], before[taken]
+    request, profile, before = request[taken], profile[taken], before[taken]
     node, function = record.step_node[taken], record.step_function[taken]
     node_use = np.zeros(substrate.num_nodes)
     placed = function >= 0
-    load = scenario.catalogue.load[service[placed], function[placed]]
+    load = scenario.profiles.amount[profile[placed], function[placed], 0]
     np.add.at(node_use, node[placed], load * stay[request[placed]])
     index = np.full((substrate.num_nodes, substrate.num_nodes), -1)
     u, v = substrate.links.T
     index[u, v] = index[v, u] = np.arange(substrate.num_links)
-    link = index[before, node]
+    link = np.where(before >= 0, index[before, node], -1)
     link_use = np.zeros(substrate.num_links)
-    np.add.at(link_use, link[link >= 0], (scenario.catalogue.rate[service] * stay[request])[link >= 0])
-    return node_use / substrate.vm_capacity.sum(axis=1), link_use / substrate.link_capacity
+    segment = _segments(record)[taken]
+    np.add.at(link_use, link[link >= 0], (scenario.profiles.rate[profile, segment] * stay[request])[link >= 0])
+    installed = substrate.vm_capacity.sum(axis=1)
+    both = substrate.link_capacity + (substrate.back_capacity if substrate.back_capacity is not None else 0.0)
+    return np.divide(node_use, installed, out=np.zeros_like(node_use), where=installed > 0), link_use / both
+
+
+def _segments(record: RunRecord) -> np.ndarray:
+    """Functions placed before each step of a walk, int64 [steps]."""
+    placed = np.r_[0, np.cumsum(record.step_function >= 0)]
+    return placed[:-1] - np.repeat(placed[record.step_offsets[:-1]], np.diff(record.step_offsets))
 
 
 class Drawing(NamedTuple):

@@ -18,6 +18,7 @@ from nfv_torchrl.folders import RUN_FILES
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.files import scenario_to_json
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.services import ANY
 from nfv_torchrl.scenario.workload import Workload
 from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
 
@@ -136,8 +137,8 @@ def _decision_lines(record: RunRecord) -> Iterator[str]:
         decision = {
             "slot": slot,
             "service": names[service],
-            "ingress": ingress,
-            "egress": egress,
+            "ingress": ingress if ingress >= 0 else ANY,
+            "egress": egress if egress >= 0 else ANY,
             "lifetime": lifetime,
             "accepted": accepted,
             "reason": None if reason == NO_REASON else REASON_NAMES[reason],

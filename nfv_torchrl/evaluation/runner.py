@@ -153,7 +153,7 @@ def _record(
     """What environment b answered, as arrays of its own."""
     log, requests = simulator.world.log, len(workload)
     offsets = log.start[b, : requests + 1].copy()
-    _, nodes, vms = simulator.tables.vm_capacity.shape
+    _, nodes, vms, _ = simulator.tables.vm_capacity.shape
     node, vm, function = _steps(log.action[b, : offsets[-1]], offsets, nodes, vms)
     reason = log.reason[b, :requests].copy()
     return RunRecord(

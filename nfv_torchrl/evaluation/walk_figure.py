@@ -79,8 +79,10 @@ def walk_of(record: RunRecord, request: int) -> Walk:
     while nodes and nodes[-1] < 0:  # REJECT or NO_ACTION
         nodes, functions = nodes[:-1], functions[:-1]
     taken = bool(record.accepted[request])
+    ingress = int(record.workload.ingress[request])
+    begins = ingress if ingress >= 0 else next(iter(nodes), 0)  # a free ingress is where the first function stands
     return Walk(
-        nodes=(int(record.workload.ingress[request]), *nodes),
+        nodes=(begins, *nodes),
         functions=tuple(functions),
         reason=None if taken else REASON_NAMES[int(record.reason[request])],
         cost=float(record.cost[request]),
@@ -173,6 +175,6 @@ def title_of(record: RunRecord, request: int) -> str:
     work, services = record.workload, record.scenario.catalogue.types
     service = services[int(work.service[request])]
     chain = ", ".join(f"f{k + 1} {name}" for k, name in enumerate(service.chain))
-    ends = f"from node {int(work.ingress[request])} to {int(work.egress[request])}"
-    tolerable = service.tolerable_delay
-    return f"{service.name}, request {request}, {ends}, at most {tolerable:g} ms\n{chain}"
+    ingress, egress = ("any" if end[request] < 0 else int(end[request]) for end in (work.ingress, work.egress))
+    limit = "any delay" if service.tolerable_delay is None else f"at most {service.tolerable_delay:g} ms"
+    return f"{service.name}, request {request}, from node {ingress} to {egress}, {limit}\n{chain}"

@@ -44,10 +44,10 @@ def why_rejected(record: RunRecord, request: int) -> str:
         raise ScenarioError(f"request {request}: the run has requests 0 to {record.num_requests - 1}")
     if record.accepted[request]:
         raise ScenarioError(f"request {request} was accepted; name a rejected one")
-    workload, labels = record.workload, record.scenario.substrate.labels
+    workload, label = record.workload, record.scenario.substrate.end_label
     kind = record.scenario.catalogue.types[workload.service[request]]
     reason = REASON_NAMES[record.reason[request]]
-    ingress, egress = labels[workload.ingress[request]], labels[workload.egress[request]]
+    ingress, egress = label(workload.ingress[request]), label(workload.egress[request])
     said = (
         f"Request {request} ({kind.name} from {ingress} to {egress}, slot {workload.slot[request]}) was rejected by "
         f"{record.method}: {ENDED_BY[reason]} ({reason})."

@@ -59,8 +59,8 @@ def load_networks(simulator: Simulator, slot: int, different: int = DIFFERENT) -
 
 def vm_use(simulator: Simulator) -> float:
     """Used share of all VM capacity, mean over the environments."""
-    env = simulator.world.env
-    return float((env["vm_used"] / simulator.tables.vm_total[env["net"]]).mean())
+    world = simulator.world
+    return float((world.ledger.vm_used / simulator.tables.vm_total[world.env["net"]]).mean())
 
 
 class LoadedEnv(NFVEnv):

@@ -59,10 +59,10 @@ class NetworkPicture:
         self._drawing.nodes.set_array(node_use)
         self._drawing.links.set_array(link_use)
         for name, ring in self._rings.items():
-            node = int(env[name])
+            node = max(int(env[name]), 0)
             ring.set_offsets(self._places[node])
             ring.set_sizes([self._sizes[node] * MARKS[name][1]])
-            ring.set_visible(not env["done"])
+            ring.set_visible(not env["done"] and env[name] >= 0)  # an end may be free
         self._drawing.axes.set_title(self._title(b), fontsize=12)
         self._canvas.draw()
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
@@ -72,14 +72,20 @@ class NetworkPicture:
         if env["done"]:
             return f"slot {env['slot']}: end of the horizon"
         kind = self.simulator.scenario(b).catalogue.types[int(env["service"])]
-        placed = f"{env['function']} of {self.simulator.tables.chain_length[int(env['service'])]} functions placed"
-        return f"slot {env['slot']}: {kind.name}, node {env['ingress']} to {env['egress']}, {placed}"
+        placed = f"{env['function']} of {self.simulator.tables.chain_length[int(env['profile'])]} functions placed"
+        ends = ("any" if env[end] < 0 else env[end] for end in ("ingress", "egress"))
+        return f"slot {env['slot']}: {kind.name}, node {' to '.join(map(str, ends))}, {placed}"
 
     def _use(self, b: int) -> tuple[np.ndarray, np.ndarray]:
-        """Used share of the VMs of each node, float64 [N], and of each link, float64 [L]."""
-        _, nodes, vms = self.simulator.world.ledger.vm_offered.shape
+        """Used share of the VMs of each node, float64 [N], and of each link, float64 [L].
+
+        Of the first kind of resources; with full duplex of the direction that is used more.
+        """
+        _, nodes, vms, kinds = self.simulator.world.ledger.vm_offered.shape
         flat = self.simulator.world.seen.flat[b].astype(np.float64)
-        capacity = self.simulator.tables.vm_capacity[int(self.simulator.world.env["net"][b])]
-        used = flat[: count_vms(nodes, vms)].reshape(nodes, vms) * capacity
-        first = count_vms(nodes, vms)
-        return used.sum(1) / capacity.sum(1), flat[first : first + self.substrate.num_links]
+        capacity = self.simulator.tables.vm_capacity[int(self.simulator.world.env["net"][b]), :, :, 0]
+        first = kinds * count_vms(nodes, vms)
+        used = flat[:first].reshape(nodes, vms, kinds)[:, :, 0] * capacity
+        ways = 2 if self.substrate.full_duplex else 1
+        links = flat[first : first + ways * self.substrate.num_links].reshape(-1, ways)
+        return used.sum(1) / np.maximum(capacity.sum(1), 1), links.max(1)

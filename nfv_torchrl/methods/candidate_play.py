@@ -7,7 +7,7 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks.candidate import CandidateNetwork
 from nfv_torchrl.networks.compiled import compiled_perceptron, score_row
-from nfv_torchrl.observations.candidates import candidate_shape, finish_costs, reference_costs, write_row
+from nfv_torchrl.observations.candidates import candidate_shape, costs_to_go, write_row
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, request_cost
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
@@ -16,7 +16,7 @@ from nfv_torchrl.simulator.state import OUTCOME, World
 
 
 @part
-def _choose(world, b, to_go, references, weights, sizes, activation, row, now, after, values):
+def _choose(world, b, to_go, weights, sizes, activation, row, now, after, values):
     """The valid action of the highest score.
 
     ``values`` float32 [2]: its score, and the highest of another valid action (NaN if there is none).
@@ -26,7 +26,7 @@ def _choose(world, b, to_go, references, weights, sizes, activation, row, now, a
     for k in range(world.env[b].mask_count):
         action = np.int64(world.seen.valid[b, k])
         row[:] = 0.0
-        write_row(world, b, to_go, references, action, row)
+        write_row(world, b, to_go, action, row)
         score = score_row(weights, sizes, activation, row, now, after)
         if score > values[0]:
             values[1] = values[0]
@@ -40,7 +40,7 @@ def _choose(world, b, to_go, references, weights, sizes, activation, row, now, a
 
 
 @kernel
-def play_candidates(world, b, to_go, references, weights, sizes, activation, row, now, after, values, costs):
+def play_candidates(world, b, to_go, weights, sizes, activation, row, now, after, values, costs):
     """Play environment b to the end of its horizon; ``costs`` float64 [R] as in ``planners.learned_prices``.
 
     Returns FINISHED, or NO_ROOM if the simulator's pools run low; call again to go on.
@@ -51,7 +51,7 @@ def play_candidates(world, b, to_go, references, weights, sizes, activation, row
             return NO_ROOM
         request = e.cursor
         while True:
-            action = _choose(world, b, to_go, references, weights, sizes, activation, row, now, after, values)
+            action = _choose(world, b, to_go, weights, sizes, activation, row, now, after, values)
             step_env(world, b, action)
             if world.outcome[b, OUTCOME.request_done] > 0.0:
                 break
@@ -60,10 +60,10 @@ def play_candidates(world, b, to_go, references, weights, sizes, activation, row
 
 
 @kernel
-def choose_candidates(world, to_go, references, weights, sizes, activation, row, now, after, actions, values):
+def choose_candidates(world, to_go, weights, sizes, activation, row, now, after, actions, values):
     """Fill ``actions`` int64 [B] with the valid action of the highest score of each environment, ``values`` [B, 2]."""
     for b in range(actions.size):
-        actions[b] = _choose(world, b, to_go, references, weights, sizes, activation, row, now, after, values[b])
+        actions[b] = _choose(world, b, to_go, weights, sizes, activation, row, now, after, values[b])
 
 
 class CandidatePlay:
@@ -80,14 +80,13 @@ class CandidatePlay:
 
     def prepare(self, world: World) -> None:
         """See ``Player``."""
-        self._to_go = finish_costs(world.tables, world.rules)
-        self._references = reference_costs(world.tables, self._to_go)
-        self._row = np.zeros(candidate_shape(world.tables)[1], np.float32)
+        self._to_go = costs_to_go(world.tables, world.rules)
+        self._row = np.zeros(candidate_shape(world.tables, world.rules)[1], np.float32)
         self._values = np.zeros(2, np.float32)
 
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:
         """See ``Player``."""
-        fixed = (self._to_go, self._references, *self._network(), self._values)
+        fixed = (self._to_go, *self._network(), self._values)
         while play_candidates(simulator.world, b, *fixed, costs) == NO_ROOM:
             simulator.make_room_for(b)
 
@@ -96,7 +95,7 @@ class CandidatePlay:
         own, and the highest of another valid action (NaN where there is none)."""
         actions = np.empty(simulator.batch_size, np.int64)
         values = np.empty((simulator.batch_size, 2), np.float32)
-        choose_candidates(simulator.world, self._to_go, self._references, *self._network(), actions, values)
+        choose_candidates(simulator.world, self._to_go, *self._network(), actions, values)
         return actions, values
 
     def _network(self) -> tuple:

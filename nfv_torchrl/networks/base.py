@@ -23,7 +23,7 @@ class Sizes(NamedTuple):
     @classmethod
     def of(cls, simulator: Simulator) -> Sizes:
         """The sizes of ``simulator``'s observations and actions."""
-        services = len(simulator.tables.chain_length)
+        services = simulator.tables.services
         return cls(
             observation=simulator.world.seen.flat.shape[1],
             actions=simulator.num_actions,

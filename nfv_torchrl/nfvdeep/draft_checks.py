@@ -44,7 +44,7 @@ def restore_drafts(
 
 
 def _check_ranges(world: World, options: Options, drafts: Drafts) -> None:
-    _, nodes, vms = world.tables.vm_capacity.shape
+    _, nodes, vms, _ = world.tables.vm_capacity.shape
     limits = {
         "state": (OPEN, OPEN),
         "placed": (0, drafts.choice.shape[1]),
@@ -70,10 +70,10 @@ def _check_plan(world: World, drafts: Drafts, b: int) -> None:
     """The steps written so far lead from the ingress through the nodes chosen, and use what the draft's books say."""
     e, tables, placed = world.env[b], world.tables, int(drafts.placed[b])
     where = f"of environment {b}"
-    if placed >= tables.chain_length[e["service"]]:
+    if placed >= tables.chain_length[e["profile"]]:
         refuse(f"drafts.placed {where}", "leaves no function to place")
     actions = drafts.action[b, : drafts.steps[b]]
-    steps = retrace(tables, int(e["net"]), int(e["service"]), int(e["ingress"]), actions)
+    steps = retrace(tables, int(e["net"]), int(e["profile"]), int(e["ingress"]), actions)
     if steps is None:
         refuse(f"drafts.action {where}", "is no walk in this network")
     ends = [k + 1 for k, step in enumerate(steps) if step.places]
@@ -93,14 +93,14 @@ def _check_plan(world: World, drafts: Drafts, b: int) -> None:
 
 
 def _check_use(world: World, drafts: Drafts, b: int, steps: list[Step]) -> None:
-    tables, service = world.tables, world.env["service"][b]
+    tables, profile = world.tables, world.env["profile"][b]
     vm_used, link_used = np.zeros_like(drafts.vm_used[b]), np.zeros_like(drafts.link_used[b])
     function = 0
     for step in steps:
         if step.link >= 0:
-            link_used[step.link] += tables.rate_units[service]
+            link_used[step.link] += tables.rate_units[profile, function]
         if step.places:
-            vm_used[step.node, step.vm] += tables.load_units[service, function]
+            vm_used[step.node, step.vm] += tables.load_units[profile, function]
             function += 1
     for name, used in (("vm_used", vm_used), ("link_used", link_used)):
         if not np.array_equal(getattr(drafts, name)[b], used):

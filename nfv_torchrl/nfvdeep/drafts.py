@@ -12,12 +12,12 @@ import numpy as np
 
 from nfv_torchrl.codec import decode_action, encode_action
 from nfv_torchrl.columns import columns
-from nfv_torchrl.search.walks import make_problem, unit_costs
+from nfv_torchrl.search.walks import cheaper, hop_delay, make_problem, may_leave, place_delay, unit_costs
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.kernels import step_env
 from nfv_torchrl.simulator.reasons import NO_REASON
 from nfv_torchrl.simulator.state import OUTCOME
-from nfv_torchrl.simulator.steps import fits, vm_delay
+from nfv_torchrl.simulator.steps import fits
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE, Rules, Tables
 
 OPEN, COMPLETE, REFUSED = 0, 1, 2
@@ -54,7 +54,7 @@ class Drafts(NamedTuple):
     backtracks: np.ndarray  # int64 [B]
     action: np.ndarray  # int64 [B, J]
     link: np.ndarray  # int64 [B, J], link used by each action, -1 for none
-    vm_used: np.ndarray  # int64 [B, N, V], ledger units that the draft itself uses
+    vm_used: np.ndarray  # int64 [B, N, V, R], ledger units that the draft itself uses
     link_used: np.ndarray  # int64 [B, L]
     choice: np.ndarray  # int64 [B, F], node of each placed function
     before_steps: np.ndarray  # int64 [B, F], and what was so before it was placed
@@ -74,7 +74,7 @@ class Drafts(NamedTuple):
 
 def make_drafts(tables: Tables, rules: Rules, batch: int) -> Drafts:
     """Room for ``batch`` drafts on the networks of ``tables``."""
-    _, nodes, vms = tables.vm_capacity.shape
+    _, nodes, vms, kinds = tables.vm_capacity.shape
     links, functions = tables.link_capacity.shape[1], tables.load.shape[1]
 
     def whole(*shape: int) -> np.ndarray:
@@ -95,7 +95,7 @@ def make_drafts(tables: Tables, rules: Rules, batch: int) -> Drafts:
         backtracks=whole(),
         action=whole(rules.max_steps),
         link=whole(rules.max_steps),
-        vm_used=whole(nodes, vms),
+        vm_used=whole(nodes, vms, kinds),
         link_used=whole(links),
         choice=whole(functions),
         before_steps=whole(functions),
@@ -121,7 +121,7 @@ def make_drafts(tables: Tables, rules: Rules, batch: int) -> Drafts:
 def _find_routes(problem, options, drafts, b):
     """Dijkstra from the current node over links that still carry the request; no route leads on from the egress."""
     distance, delay, hops, closed = drafts.distance[b], drafts.delay[b], drafts.hops[b], drafts.closed[b]
-    start = drafts.node[b]
+    start, i = drafts.node[b], drafts.placed[b]
     distance[:] = np.inf
     closed[:] = False
     distance[start] = 0.0
@@ -136,20 +136,31 @@ def _find_routes(problem, options, drafts, b):
         if node < 0:
             return
         closed[node] = True
-        if node == problem.egress:
+        if not may_leave(problem, node, i):
             continue
         for k in range(problem.degree[node]):
             after = problem.neighbour[node, k]
             link = problem.neighbour_link[node, k]
-            if not fits(problem.link_offered[link] - drafts.link_used[b, link], problem.rate_units):
+            if not fits(problem.link_offered[link] - drafts.link_used[b, link], problem.rate_units[i]):
                 continue
-            weight = problem.link_price[link] if options.by_cost else problem.hop_delay[link]
+            hop = hop_delay(problem, link, i)
+            weight = problem.link_price[link] if options.by_cost else hop
             if distance[node] + weight < distance[after]:
                 distance[after] = distance[node] + weight
-                delay[after] = delay[node] + problem.hop_delay[link]
+                delay[after] = delay[node] + hop
                 hops[after] = hops[node] + 1
                 drafts.via_node[b, after] = node
                 drafts.via_link[b, after] = link
+
+
+@part
+def _has_room(problem, drafts, b, node, vm, i):
+    """Whether a VM has room for function ``i`` beside what the draft itself uses."""
+    for kind in range(problem.kinds):
+        left = problem.vm_offered[node, vm, kind] - drafts.vm_used[b, node, vm, kind]
+        if not fits(left, problem.load_units[i, kind]):
+            return False
+    return True
 
 
 @part
@@ -161,13 +172,22 @@ def _cheapest_vm(problem, drafts, b, node, latest):
     i = drafts.placed[b]
     best = -1
     for vm in range(problem.vm_count[node]):
-        if not fits(problem.vm_offered[node, vm] - drafts.vm_used[b, node, vm], problem.load_units[i]):
+        if not _has_room(problem, drafts, b, node, vm, i):
             continue
-        if vm_delay(problem.load[i], problem.vm_speed[node, vm]) > latest:
+        if place_delay(problem, node, vm, i) > latest:
             continue
-        if best < 0 or problem.vm_price[node, vm] < problem.vm_price[node, best]:
+        if best < 0 or cheaper(problem, node, vm, best, i):
             best = vm
     return best
+
+
+@part
+def _is_chosen(drafts, b, node, i):
+    """Whether one of the first ``i`` functions stands on ``node``."""
+    found = False
+    for function in range(i):
+        found = found or drafts.choice[b, function] == node
+    return found
 
 
 @part
@@ -182,7 +202,9 @@ def _find_nodes(problem, options, drafts, b):
     for node in range(problem.nodes):
         if drafts.excluded[b, i, node] or drafts.distance[b, node] == np.inf:
             continue
-        if node == here and not (problem.colocation or here == problem.egress):
+        if problem.distinct and _is_chosen(drafts, b, node, i):
+            continue
+        if node == here and not (problem.colocation or problem.distinct or here == problem.egress):
             continue
         if drafts.steps[b] + max(drafts.hops[b, node], 1) > problem.max_steps:
             continue
@@ -200,7 +222,7 @@ def _find_nodes(problem, options, drafts, b):
 @part
 def _go(problem, drafts, b, node, vm):
     """Write the route to ``node`` and, unless ``vm`` is -1, the next function on it there."""
-    vms = problem.vm_offered.shape[1]
+    vms, i = problem.vm_offered.shape[1], drafts.placed[b]
     first = drafts.steps[b]
     hops = drafts.hops[b, node]
     steps = max(hops, 1)
@@ -208,16 +230,16 @@ def _go(problem, drafts, b, node, vm):
     for k in range(first + hops - 1, first - 1, -1):
         drafts.action[b, k] = encode_action(at, 0, 0, vms)
         drafts.link[b, k] = drafts.via_link[b, at]
-        drafts.link_used[b, drafts.via_link[b, at]] += problem.rate_units
+        drafts.link_used[b, drafts.via_link[b, at]] += problem.rate_units[i]
         at = drafts.via_node[b, at]
     if hops == 0:
         drafts.link[b, first] = -1
     elapsed = drafts.elapsed[b] + drafts.delay[b, node]
     if vm >= 0:
-        i = drafts.placed[b]
         drafts.action[b, first + steps - 1] = encode_action(node, vm, 1, vms)
-        drafts.vm_used[b, node, vm] += problem.load_units[i]
-        elapsed += vm_delay(problem.load[i], problem.vm_speed[node, vm])
+        for kind in range(problem.kinds):
+            drafts.vm_used[b, node, vm, kind] += problem.load_units[i, kind]
+        elapsed += place_delay(problem, node, vm, i)
     drafts.steps[b] = first + steps
     drafts.node[b] = node
     drafts.elapsed[b] = elapsed
@@ -244,9 +266,10 @@ def _undo(problem, drafts, b):
     i = drafts.placed[b] - 1
     for k in range(drafts.before_steps[b, i], drafts.steps[b]):
         if drafts.link[b, k] >= 0:
-            drafts.link_used[b, drafts.link[b, k]] -= problem.rate_units
+            drafts.link_used[b, drafts.link[b, k]] -= problem.rate_units[i]
     last = drafts.action[b, drafts.steps[b] - 1]
-    drafts.vm_used[b, drafts.choice[b, i], decode_action(last, vms)[1]] -= problem.load_units[i]
+    for kind in range(problem.kinds):
+        drafts.vm_used[b, drafts.choice[b, i], decode_action(last, vms)[1], kind] -= problem.load_units[i, kind]
     drafts.steps[b] = drafts.before_steps[b, i]
     drafts.node[b] = drafts.before_node[b, i]
     drafts.elapsed[b] = drafts.before_elapsed[b, i]
@@ -304,9 +327,9 @@ def _observe(problem, tables, drafts, b):
     for node in range(problem.nodes):
         free, total = 0.0, 0.0
         for vm in range(problem.vm_count[node]):
-            free += problem.vm_offered[node, vm] - drafts.vm_used[b, node, vm]
-            total += tables.vm_capacity[net, node, vm]
-        flat[node] = free / total
+            free += problem.vm_offered[node, vm, 0] - drafts.vm_used[b, node, vm, 0]
+            total += tables.vm_capacity[net, node, vm, 0]
+        flat[node] = free / max(total, 1.0)
         most_vm = max(most_vm, total)
         free, total = 0.0, 0.0
         for k in range(problem.degree[node]):
@@ -319,7 +342,7 @@ def _observe(problem, tables, drafts, b):
     for node in range(problem.nodes):
         total = 0.0
         for vm in range(problem.vm_count[node]):
-            total += tables.vm_capacity[net, node, vm]
+            total += tables.vm_capacity[net, node, vm, 0]
         flat[node] *= total / most_vm
         total = 0.0
         for k in range(problem.degree[node]):
@@ -327,14 +350,9 @@ def _observe(problem, tables, drafts, b):
         flat[nodes + node] *= total / most_link
     base = 2 * nodes
     i = drafts.placed[b]
-    largest, fastest = 0.0, 0.0
-    for service in range(tables.load.shape[0]):
-        fastest = max(fastest, tables.rate[service])
-        for function in range(tables.load.shape[1]):
-            largest = max(largest, tables.load[service, function])
     if i < problem.functions:
-        flat[base + AT.load] = problem.load[i] / largest
-    flat[base + AT.rate] = problem.rate / fastest
+        flat[base + AT.load] = problem.load[i, 0] / tables.largest_amount[0]
+    flat[base + AT.rate] = problem.rate[i] / tables.largest_rate
     flat[base + AT.delay] = 1.0 - drafts.elapsed[b] / problem.budget
     flat[base + AT.functions] = (problem.functions - i) / tables.load.shape[1]
     flat[base + len(AT) + drafts.node[b]] = 1.0

@@ -12,7 +12,7 @@ from torchrl.data import Binary, Unbounded
 from nfv_torchrl.env import ActionSpec, NFVEnv
 from nfv_torchrl.nfvdeep.draft_checks import restore_drafts
 from nfv_torchrl.nfvdeep.drafts import advance, begin_env, make_drafts
-from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner
+from nfv_torchrl.nfvdeep.planner import NFVdeepPlanner, check_requests
 from nfv_torchrl.nfvdeep.reward import Profit
 from nfv_torchrl.observations import gather
 from nfv_torchrl.rewards import Reward
@@ -78,6 +78,7 @@ class NFVdeepEnv(NFVEnv):
 
     def _make_specs(self) -> None:
         world = self.simulator.world
+        check_requests(world)
         self.drafts = make_drafts(world.tables, world.rules, self.simulator.batch_size)
         super()._make_specs()
         batch = self.batch_size

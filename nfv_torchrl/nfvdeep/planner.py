@@ -14,12 +14,23 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.actors import scorer
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.nfvdeep.drafts import COMPLETE, OPEN, Drafts, Options, begin_rows, choose_rows, make_drafts
-from nfv_torchrl.planners.base import Planner
+from nfv_torchrl.planners.base import Planner, refuse_free_ends
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.state import World
 from nfv_torchrl.simulator.tables import Tables
 
 ROUTES = ("delay", "cost")
+
+
+def check_requests(world: World) -> None:
+    """Refuse worlds whose requests NFVdeep has no plans for.
+
+    Raises:
+        ScenarioError: requests with a free end, or without functions.
+    """
+    refuse_free_ends(world, "nfvdeep")
+    if (world.tables.chain_length == 0).any():
+        raise ScenarioError("nfvdeep: places functions one by one, and some requests have none; give them a chain")
 
 
 class NFVdeepPlanner(Planner):
@@ -32,6 +43,9 @@ class NFVdeepPlanner(Planner):
 
     Without colocation a plan keeps to the walk of the environment: one function a hop, so never two in a row on one
     node, and no route through the egress, where all functions not placed yet go.
+
+    It plans requests whose ends are both given. Of several kinds of resources the policy sees the first; the plan fits
+    all.
 
     Args:
         actor: the policy; reads ``observation`` and ``action_mask`` as emitted by ``NFVdeepEnv``, writes ``action``.
@@ -68,7 +82,7 @@ class NFVdeepPlanner(Planner):
         return Sizes(
             observation=4 * nodes + 4,
             actions=nodes + 1,
-            services=len(simulator.tables.chain_length),
+            services=simulator.tables.services,
             candidate_features=0,
         )
 
@@ -79,6 +93,7 @@ class NFVdeepPlanner(Planner):
 
     def plan_rows(self, world: World, rows: np.ndarray, plans: np.ndarray, lengths: np.ndarray) -> None:
         """Plan the requests of many environments, the policy called for all of them together; see ``Planner``."""
+        check_requests(world)
         if self._tables is not world.tables or len(self._drafts.state) != len(world.env):
             self._tables, self._drafts = world.tables, make_drafts(world.tables, world.rules, len(world.env))
         drafts = self._drafts

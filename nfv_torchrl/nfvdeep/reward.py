@@ -32,10 +32,15 @@ class Profit:
     def prepare(self, simulator: Simulator) -> None:
         """Read unit prices, services and each environment's substrate from ``simulator``."""
         tables = simulator.tables
-        vms = _mean_where(tables.vm_unit_cost, tables.vm_capacity > 0)
         links = _mean_where(tables.link_unit_cost, tables.link_capacity > 0)
-        vm_part = vms[:, None] * tables.load.sum(axis=1)
-        self.income = self.markup * (vm_part + links[:, None] * tables.rate)[simulator.world.env["net"]]
+        chains = tables.load.sum(axis=1)[: tables.services]
+        kinds = range(chains.shape[1])
+        vm_parts = [
+            _mean_where(tables.vm_unit_cost[..., kind], tables.vm_capacity[..., kind] > 0)[:, None] * chains[:, kind]
+            for kind in kinds
+        ]
+        rate = tables.rate[: tables.services].max(axis=1)
+        self.income = self.markup * (sum(vm_parts) + links[:, None] * rate)[simulator.world.env["net"]]
         mean = np.broadcast_to(self.income.mean(1, keepdims=True), self.income.shape)
         self.scale = self.income if self.relative else mean
 

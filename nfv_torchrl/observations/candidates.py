@@ -8,13 +8,15 @@ import numpy as np
 import torch
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 
-from nfv_torchrl.codec import count_actions, decode_action
+from nfv_torchrl.codec import count_actions, count_vms, decode_action
 from nfv_torchrl.columns import columns
 from nfv_torchrl.observations.base import gather
+from nfv_torchrl.scenario.units import LEDGER_UNITS
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step
-from nfv_torchrl.simulator.steps import Step, find_link, link_cost, step_cost, vm_cost, vm_delay
+from nfv_torchrl.simulator.slots import used_vm_share
+from nfv_torchrl.simulator.steps import Step, find_link, hop_delay, link_cost, place_delay, step_cost, vm_cost
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 
@@ -27,18 +29,18 @@ class CandidateFeatures(NamedTuple):
     arrives: int  # the step ends at the egress
     passes: int  # passes every step check
     step_cost: int  # phi~ over the service's reference cost
-    cost_to_go: int  # least cost to finish after the step on the empty network, over the same
-    vm_use: int  # used share of the VM after the step
-    vm_demand: int  # load of the function over the VM's capacity
-    node_use: int  # used share of all VMs of the node after the step
+    cost_to_go: int  # least cost to finish after the step on the empty network, over the same; 10 where nothing does
+    vm_use: int  # used share of the VM after the step, of several kinds of resources the largest; 1 without a VM
+    vm_demand: int  # load of the function over the VM's capacity, likewise
+    node_use: int  # used share of all VMs of the node after the step, likewise
     link_use: int  # used share of the link after the step
     link_demand: int  # rate over the link's capacity
     elapsed: int  # delay after the step over the tolerable delay
     delay_to_go: int  # shortest delay from there to the egress over the tolerable delay
     slack: int  # what is left then: 1 - elapsed - delay_to_go
     functions_left: int  # share of the chain not placed after the step
-    load_left: int  # share of the chain's load not placed after the step
-    network_vm_use: int  # used share of all VM capacity now
+    load_left: int  # share of the chain's load not placed after the step, of several kinds the mean
+    network_vm_use: int  # used share of all VM capacity now, of several kinds the mean
     network_link_use: int  # used share of all link capacity now
 
 
@@ -46,144 +48,251 @@ AT = columns(CandidateFeatures)
 FEATURES = CandidateFeatures._fields
 
 
+class CostsToGo(NamedTuple):
+    """Least costs ($) to finish requests on the empty network, float64 [F + 1, N] by functions placed and node.
+
+    Those of services between all nodes are worked out at once, others when they are first asked for.
+    """
+
+    of_service: np.ndarray  # float64 [S, K, N, F + 1, N], the third index is the egress
+    reference: np.ndarray  # float64 [S, P], $: what the costs of a profile's requests are measured by
+    row: np.ndarray  # int32 [S, P, N + 1], row of ``other`` by egress (N: free), -1: not there
+    other: np.ndarray  # float64 [C, F + 1, N]
+    used: np.ndarray  # int64 [1], rows of it
+
+
+DEAD_END = 10.0
+"""Cost to go where a request cannot be finished at all, over its reference."""
+MOST_OTHER = 2**23
+"""Numbers that ``CostsToGo.other`` may have; when it is full it is filled anew."""
+
+
 @kernel
-def _finish_costs(tables, net, colocation, service, costs):
-    """Fill ``costs`` [F + 1, N, N], infinite before: least costs by functions placed, current node, egress."""
-    nodes = tables.num_nodes[net]
-    functions = tables.chain_length[service]
-    rate = tables.rate[service]
-    for i in range(functions, -1, -1):
-        for egress in range(nodes):
-            _finish_costs_from(tables, net, colocation, rate, service, i, functions, egress, costs)
+def _finish_costs(tables, rules, net, profile, egress, costs):
+    """Fill ``costs`` [F + 1, N] with least costs by functions placed and current node; ``egress`` -1 is free."""
+    costs[:] = np.inf
+    for i in range(tables.chain_length[profile], -1, -1):
+        _finish_costs_from(tables, rules, (net, profile, egress), i, costs)
 
 
 @part
-def _finish_costs_from(tables, net, colocation, rate, service, i, functions, egress, costs):
-    """One layer of ``_finish_costs`` by Bellman-Ford: all nodes with i functions placed, towards one egress."""
+def _finish_costs_from(tables, rules, request, i, costs):
+    """One layer of ``_finish_costs`` by Bellman-Ford: all nodes with i functions placed."""
+    net, profile, egress = request
     nodes = tables.num_nodes[net]
-    load = tables.load[service, min(i, functions - 1)] if i < functions else 0.0
+    functions = tables.chain_length[profile]
+    rate = tables.rate[profile, i]
     for node in range(nodes):
         if i == functions:
-            costs[i, node, egress] = link_cost(tables.link_cost_to[net, node, egress], rate)
-        elif node == egress or colocation:
-            costs[i, node, egress] = vm_cost(_cheapest_vm(tables, net, node), load) + costs[i + 1, node, egress]
+            costs[i, node] = 0.0 if egress < 0 else link_cost(tables.link_cost_to[net, node, egress], rate)
+        elif rules.colocation or (i == 0 if rules.distinct else node == egress):
+            costs[i, node] = _cheapest_place(tables, net, node, profile, i) + costs[i + 1, node]
     changed = i < functions
     while changed:
         changed = False
         for node in range(nodes):
-            if node == egress:
+            if node == egress and not rules.distinct:
                 continue
-            best = costs[i, node, egress]
+            best = costs[i, node]
             for k in range(tables.degree[net, node]):
                 near = tables.neighbour[net, node, k]
-                onward = min(
-                    costs[i, near, egress],
-                    vm_cost(_cheapest_vm(tables, net, near), load) + costs[i + 1, near, egress],
-                )
+                onward = min(costs[i, near], _cheapest_place(tables, net, near, profile, i) + costs[i + 1, near])
                 hop = link_cost(tables.link_unit_cost[net, tables.neighbour_link[net, node, k]], rate)
                 best = min(best, hop + onward)
-            if best < costs[i, node, egress]:
-                costs[i, node, egress] = best
+            if best < costs[i, node]:
+                costs[i, node] = best
                 changed = True
 
 
 @part
-def _cheapest_vm(tables, net, node):
+def _cheapest_place(tables, net, node, profile, function):
+    """$ of a function on the cheapest VM of a node, however large."""
     cheapest = np.inf
     for vm in range(tables.vm_count[net, node]):
-        cheapest = min(cheapest, tables.vm_unit_cost[net, node, vm])
+        cost = 0.0
+        for kind in range(tables.load.shape[2]):
+            cost += vm_cost(tables.vm_unit_cost[net, node, vm, kind], tables.load[profile, function, kind])
+        cheapest = min(cheapest, cost)
     return cheapest
 
 
 def finish_costs(tables: Tables, rules: Rules) -> np.ndarray:
-    """Least cost ($) to finish a request on the empty network, float64 [S, K, F + 1, N, N].
+    """Least cost ($) to finish a service's request on the empty network, float64 [S, K, F + 1, N, N].
 
     Index: substrate, service, functions placed, current node, egress. Infinite for nodes a substrate does not have.
     """
+    return np.moveaxis(_service_costs(tables, rules), 2, 4)
+
+
+def _service_costs(tables: Tables, rules: Rules) -> np.ndarray:
     substrates, nodes = tables.degree.shape
-    services, functions = tables.load.shape
-    costs = np.full((substrates, services, functions + 1, nodes, nodes), np.inf)
+    costs = np.full((substrates, tables.services, nodes, tables.load.shape[1] + 1, nodes), np.inf)
     for net in range(substrates):
-        for service in range(services):
-            _finish_costs(tables, net, rules.colocation, service, costs[net, service])
+        for service in range(tables.services):
+            for egress in range(tables.num_nodes[net]):
+                _finish_costs(tables, rules, net, service, egress, costs[net, service, egress])
     return costs
 
 
 def reference_costs(tables: Tables, costs: np.ndarray) -> np.ndarray:
-    """Mean over all pairs of nodes of the least cost of a request on the empty network, $, float64 [S, K]."""
+    """Mean over all pairs of nodes of the least cost of a service's request on the empty network, $, float64 [S, K]."""
     references = np.zeros(costs.shape[:2])
     for net, nodes in enumerate(tables.num_nodes):
         apart = ~np.eye(nodes, dtype=bool)
-        references[net] = costs[net, :, 0, :nodes, :nodes][:, apart].mean(axis=1)
+        found = costs[net, :, 0, :nodes, :nodes][:, apart]
+        references[net] = np.where(
+            np.isfinite(found).all(axis=1), found.mean(axis=1), _usual_costs(tables, net)[: len(found)]
+        )
     return references
 
 
+def _usual_costs(tables: Tables, net: int) -> np.ndarray:
+    """Cost of each profile at mean unit costs, its mean rate on a path of mean cost; float64 [P], $, above 0."""
+    nodes, exists = tables.num_nodes[net], tables.vm_capacity[net] > 0
+    unit_cost = np.where(exists, tables.vm_unit_cost[net], 0).sum(axis=(0, 1)) / np.maximum(exists.sum(axis=(0, 1)), 1)
+    path = tables.link_cost_to[net, :nodes, :nodes].sum() / max(nodes * (nodes - 1), 1)
+    rate = tables.rate.sum(axis=1) / (tables.chain_length + 1)
+    return np.maximum(tables.load.sum(axis=1) @ unit_cost + path * rate, 1e-9)
+
+
+def costs_to_go(tables: Tables, rules: Rules) -> CostsToGo:
+    """Costs that the rows of candidates are measured by."""
+    of_service = _service_costs(tables, rules)
+    substrates, nodes = tables.degree.shape
+    profiles, layers = len(tables.service), tables.load.shape[1] + 1
+    reference = np.stack([_usual_costs(tables, net) for net in range(substrates)])
+    reference[:, : tables.services] = reference_costs(tables, np.moveaxis(of_service, 2, 4))
+    beside = profiles > tables.services or rules.free_ends
+    rows = max(min(substrates * profiles * (nodes + 1), MOST_OTHER // (layers * nodes)), 1) if beside else 1
+    shape = (substrates, profiles, nodes + 1) if beside else (1, 1, 1)
+    return CostsToGo(
+        of_service=of_service,
+        reference=reference,
+        row=np.full(shape, -1, np.int32),
+        other=np.zeros((rows, layers, nodes)),
+        used=np.zeros(1, np.int64),
+    )
+
+
 @part
-def write_row(world, b, costs, references, action, row):
+def _cost_to_go(world, b, costs, functions, node):
+    """Least cost ($) to finish the request in hand from ``node`` with ``functions`` placed, on the empty network."""
+    tables, e = world.tables, world.env[b]
+    net, profile, egress = e.net, e.profile, e.egress
+    if profile < tables.services and egress >= 0:
+        return costs.of_service[net, profile, egress, functions, node]
+    nodes = tables.degree.shape[1]
+    place = egress if egress >= 0 else np.int64(nodes)
+    row = costs.row[net, profile, place]
+    if row < 0:
+        if costs.used[0] == costs.other.shape[0]:
+            costs.row[:] = -1
+            costs.used[0] = 0
+        row = costs.used[0]
+        costs.used[0] += 1
+        costs.row[net, profile, place] = row
+        _finish_costs(tables, world.rules, net, profile, egress, costs.other[row])
+    return costs.other[row, functions, node]
+
+
+@part
+def write_row(world, b, costs, action, row):
     """Features of one valid action into ``row`` [features], which holds zeros."""
     e = world.env[b]
     if action == world.seen.mask.shape[1] - 1:
         row[AT.reject] = 1.0
     else:
-        _write_step(world, b, costs, references, action, row)
-    row[AT.network_vm_use] = e.vm_used / world.tables.vm_total[e.net]
+        _write_step(world, b, costs, action, row)
+    row[AT.network_vm_use] = used_vm_share(world, b)
     row[AT.network_link_use] = e.link_used / world.tables.link_total[e.net]
     if e.done == 0:
-        row[row.size - world.tables.load.shape[0] + e.service] = 1.0
+        row[row.size - world.tables.services + e.service] = 1.0
 
 
 @part
-def _write_step(world, b, costs, references, action, row):
+def _write_step(world, b, costs, action, row):
     """Features of one valid action other than reject."""
     tables, ledger, e = world.tables, world.ledger, world.env[b]
     vms = ledger.vm_offered.shape[2]
-    net, service, egress = e.net, e.service, e.egress
+    net, profile = e.net, e.profile
     node, vm, place = decode_action(action, vms)
-    link = np.int64(-1) if node == e.node else find_link(tables, net, e.node, node)
+    link = np.int64(-1) if node == e.node or e.node < 0 else find_link(tables, net, e.node, node)
     step = Step(link, node, vm, place)
-    tolerable = tables.tolerable_delay[service]
     elapsed = e.elapsed
     done = e.function
-    vm_taken = np.int64(0)
     row[AT.place] = place
     row[AT.stay] = link < 0
-    row[AT.arrives] = node == egress
     row[AT.passes] = check_step(world, b, step) == PASSES
     if place:
-        load = tables.load[service, e.function]
-        vm_taken = tables.load_units[service, e.function]
-        elapsed += vm_delay(load, tables.vm_speed[net, node, vm])
-        row[AT.vm_demand] = load / tables.vm_speed[net, node, vm]
+        elapsed += place_delay(tables, e, node, vm)
         done += 1
+    row[AT.arrives] = node == e.egress or (e.egress < 0 and done == tables.chain_length[profile])
     if link >= 0:
-        elapsed += tables.hop_delay[net, service, link]
+        elapsed += hop_delay(tables, net, profile, e.function, link)
         capacity = tables.link_capacity[net, link]
-        row[AT.link_use] = (capacity - ledger.link_offered[b, link] + tables.rate_units[service]) / capacity
-        row[AT.link_demand] = tables.rate_units[service] / capacity
-    capacity = tables.vm_capacity[net, node, vm]
-    row[AT.vm_use] = (capacity - ledger.vm_offered[b, node, vm] + vm_taken) / capacity
-    free, total = -vm_taken, np.int64(0)
-    for v in range(tables.vm_count[net, node]):
-        free += ledger.vm_offered[b, node, v]
-        total += tables.vm_capacity[net, node, v]
-    row[AT.node_use] = 1.0 - free / total
-    row[AT.step_cost] = step_cost(tables, e, step) / references[net, service]
-    row[AT.cost_to_go] = costs[net, service, done, node, egress] / references[net, service]
+        rate = tables.rate_units[profile, e.function]
+        row[AT.link_use] = (capacity - ledger.link_offered[b, link] + rate) / capacity
+        row[AT.link_demand] = rate / capacity
+    _write_vm(world, b, step, row)
+    reference = costs.reference[net, profile]
+    row[AT.step_cost] = step_cost(tables, e, step) / reference
+    to_go = _cost_to_go(world, b, costs, done, node)
+    row[AT.cost_to_go] = to_go / reference if to_go < np.inf else DEAD_END
+    tolerable = tables.tolerable_delay[profile]
     row[AT.elapsed] = elapsed / tolerable
-    row[AT.delay_to_go] = tables.delay_to[net, service, node, egress] / tolerable
+    if e.egress >= 0 and tolerable < np.inf:
+        row[AT.delay_to_go] = tables.delay_to[net, tables.least_rate[profile], node, e.egress] / tolerable
     row[AT.slack] = 1.0 - row[AT.elapsed] - row[AT.delay_to_go]
-    chain = tables.chain_length[service]
-    row[AT.functions_left] = (chain - done) / chain
-    left, whole = 0.0, 0.0
-    for f in range(chain):
-        whole += tables.load[service, f]
-        if f >= done:
-            left += tables.load[service, f]
-    row[AT.load_left] = left / whole
+    _write_chain(tables, profile, done, row)
+
+
+@part
+def _write_vm(world, b, step, row):
+    """Use and demand of the VM that a step names, and use of its node."""
+    tables, ledger, e = world.tables, world.ledger, world.env[b]
+    net, node, vm = e.net, step.node, step.vm
+    if vm >= tables.vm_count[net, node]:
+        row[AT.vm_use] = 1.0
+        row[AT.node_use] = 1.0
+        return
+    use, demand, node_use = 0.0, 0.0, 0.0
+    for kind in range(tables.load.shape[2]):
+        taken = tables.load_units[e.profile, e.function, kind] if step.places else np.int64(0)
+        capacity = tables.vm_capacity[net, node, vm, kind]
+        use = max(use, (capacity - ledger.vm_offered[b, node, vm, kind] + taken) / capacity)
+        if step.places:
+            size = tables.vm_speed[net, node, vm] if kind == 0 else capacity / LEDGER_UNITS
+            demand = max(demand, tables.load[e.profile, e.function, kind] / size)
+        free, total = -taken, np.int64(0)
+        for v in range(tables.vm_count[net, node]):
+            free += ledger.vm_offered[b, node, v, kind]
+            total += tables.vm_capacity[net, node, v, kind]
+        node_use = max(node_use, 1.0 - free / total)
+    row[AT.vm_use] = use
+    row[AT.vm_demand] = demand
+    row[AT.node_use] = node_use
+
+
+@part
+def _write_chain(tables, profile, done, row):
+    """What is left of the chain once ``done`` functions are placed."""
+    chain = tables.chain_length[profile]
+    row[AT.functions_left] = (chain - done) / max(chain, 1)
+    shares, kinds = 0.0, 0
+    for kind in range(tables.load.shape[2]):
+        left, whole = 0.0, 0.0
+        for f in range(chain):
+            whole += tables.load[profile, f, kind]
+            if f >= done:
+                left += tables.load[profile, f, kind]
+        if whole > 0.0:
+            shares += left / whole
+            kinds += 1
+    row[AT.load_left] = shares / max(kinds, 1)
 
 
 @kernel
-def write_candidates(world, costs, references, rows, actions, mask):
+def write_candidates(world, costs, rows, actions, mask):
     """Fill ``rows`` float32 [B, C, features], ``actions`` int64 [B, C] and ``mask`` bool [B, C] from the world."""
     reject = world.seen.mask.shape[1] - 1
     for b in range(rows.shape[0]):
@@ -197,22 +306,24 @@ def write_candidates(world, costs, references, rows, actions, mask):
             action = np.int64(world.seen.valid[b, k])
             actions[b, k] = action
             mask[b, k] = True
-            write_row(world, b, costs, references, action, rows[b, k])
+            write_row(world, b, costs, action, rows[b, k])
 
 
-def candidate_shape(tables: Tables) -> tuple[int, int]:
+def candidate_shape(tables: Tables, rules: Rules) -> tuple[int, int]:
     """Rows C and features on the networks of ``tables``."""
-    vms, degrees = tables.vm_capacity.shape[2], tables.neighbour.shape[2]
-    return count_actions(degrees + 1, vms), len(FEATURES) + tables.load.shape[0]
+    _, nodes, vms, _ = tables.vm_capacity.shape
+    rows = count_actions(tables.neighbour.shape[2] + 1, vms)
+    anywhere = count_vms(nodes, vms) + 1 if rules.free_ends else 0  # a free ingress: any VM, or reject
+    return max(rows, anywhere), len(FEATURES) + tables.services
 
 
 class CandidateObservation:
     """Key ``candidates``, nested: one row for each valid action, in no particular order, then padding.
 
-    C = 2 V (D + 1) + 1 rows, D the largest degree. ``features`` float32 [B, C, F + K] (columns: the F of
-    ``CandidateFeatures``, then the service type one-hot; costs and delays are relative to the service's own, so that
-    one network serves all), ``action`` int64 [B, C]: the action a row stands for (``reject`` in padding), ``mask`` bool
-    [B, C]: rows in use.
+    C = 2 V (D + 1) + 1 rows, D the largest degree; with free ends N V + 1 if that is more. ``features`` float32
+    [B, C, F + K] (columns: the F of ``CandidateFeatures``, then the service type one-hot; costs and delays are relative
+    to the service's own, so that one network serves all), ``action`` int64 [B, C]: the action a row stands for
+    (``reject`` in padding), ``mask`` bool [B, C]: rows in use.
     """
 
     def __init__(self) -> None:
@@ -222,14 +333,12 @@ class CandidateObservation:
         if self._simulator is simulator:
             return
         self._simulator = simulator
-        tables = simulator.tables
-        self._costs = finish_costs(tables, simulator.world.rules)
-        self._references = reference_costs(tables, self._costs)
+        self._costs = costs_to_go(simulator.tables, simulator.world.rules)
 
     @staticmethod
     def shape(simulator: Simulator) -> tuple[int, int]:
         """Rows C and features."""
-        return candidate_shape(simulator.tables)
+        return candidate_shape(simulator.tables, simulator.world.rules)
 
     def specs(self, simulator: Simulator) -> dict:
         """See ``ObservationPart``."""
@@ -252,5 +361,5 @@ class CandidateObservation:
         values = torch.empty(batch, rows, features)
         actions = torch.empty(batch, rows, dtype=torch.int64)
         mask = torch.empty(batch, rows, dtype=torch.bool)
-        write_candidates(simulator.world, self._costs, self._references, values.numpy(), actions.numpy(), mask.numpy())
+        write_candidates(simulator.world, self._costs, values.numpy(), actions.numpy(), mask.numpy())
         return {"candidates": gather({"features": values, "action": actions, "mask": mask}, batch)}

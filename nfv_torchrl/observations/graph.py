@@ -10,6 +10,7 @@ from nfv_torchrl.codec import count_vms
 from nfv_torchrl.observations.base import gather
 from nfv_torchrl.observations.request import current_requests
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.simulator.steps import link_delay
 
 VM_FEATURES = ("exists", "use", "speed", "unit_cost")
 LINK_FEATURES = ("exists", "use", "delay", "unit_cost")
@@ -19,9 +20,10 @@ NODE_FEATURES = ("current", "ingress", "egress")
 class GraphObservation:
     """Key ``graph``, nested, float32 but for ``link_ends``:
 
-    ``vms`` [B, N, V, 4]: exists, used share, capacity and unit cost over the network's mean. ``links`` [B, L, 4]:
-    exists, used share, delay of the hop over the tolerable delay, unit cost over the mean. ``link_ends`` int64
-    [B, L, 2]. ``nodes`` [B, N, 3]: one-hot current node, ingress, egress.
+    ``vms`` [B, N, V, 1 + 3 R]: exists, then for each of the R kinds of resources used share, capacity and unit cost
+    over the network's mean. ``links`` [B, L, 4]: exists, used share, delay of the hop over the tolerable delay, unit
+    cost over the mean; with full duplex a row for each direction. ``link_ends`` int64 [B, L, 2]. ``nodes`` [B, N, 3]:
+    one-hot current node, ingress, egress; none where that is free.
     """
 
     def __init__(self) -> None:
@@ -32,13 +34,13 @@ class GraphObservation:
             return
         self._simulator = simulator
         tables, net = simulator.tables, simulator.world.env["net"]
-        vm_exists = tables.vm_capacity > 0
+        kinds = range(tables.vm_capacity.shape[3])
+        vm_exists = tables.vm_capacity[..., 0] > 0
         link_exists = tables.link_capacity > 0
-        capacity = np.where(vm_exists, tables.vm_capacity, 0)
+        self._vm_exists = vm_exists[net]
         self._vm_static = [
-            vm_exists[net],
-            (capacity / _mean_where(capacity, vm_exists))[net],
-            (tables.vm_unit_cost / _mean_where(tables.vm_unit_cost, vm_exists))[net],
+            [(values[..., kind] / _mean_where(values[..., kind], vm_exists))[net] for kind in kinds]
+            for values in (tables.vm_capacity, tables.vm_unit_cost)
         ]
         self._link_static = [
             link_exists[net],
@@ -49,11 +51,11 @@ class GraphObservation:
     def specs(self, simulator: Simulator) -> dict:
         """See ``ObservationPart``."""
         batch = torch.Size([simulator.batch_size])
-        _, nodes, vms = simulator.world.ledger.vm_offered.shape
+        _, nodes, vms, kinds = simulator.world.ledger.vm_offered.shape
         links = simulator.world.ledger.link_offered.shape[1]
         return {
             "graph": Composite(
-                vms=Unbounded((*batch, nodes, vms, len(VM_FEATURES)), dtype=torch.float32),
+                vms=Unbounded((*batch, nodes, vms, 1 + kinds * (len(VM_FEATURES) - 1)), dtype=torch.float32),
                 links=Unbounded((*batch, links, len(LINK_FEATURES)), dtype=torch.float32),
                 link_ends=Categorical(nodes, shape=(*batch, links, 2), dtype=torch.int64),
                 nodes=Unbounded((*batch, nodes, len(NODE_FEATURES)), dtype=torch.float32),
@@ -65,20 +67,25 @@ class GraphObservation:
         """See ``ObservationPart``."""
         self._prepare(simulator)
         batch = simulator.batch_size
-        _, nodes, vms = simulator.world.ledger.vm_offered.shape
+        _, nodes, vms, kinds = simulator.world.ledger.vm_offered.shape
         flat, tables = simulator.world.seen.flat, simulator.tables
         requests, rows = current_requests(simulator), np.arange(batch)
-        use = flat[:, : count_vms(nodes, vms)].reshape(batch, nodes, vms)
-        vm_exists, speed, vm_cost = self._vm_static
+        places = kinds * count_vms(nodes, vms)
+        use = flat[:, :places].reshape(batch, nodes, vms, kinds)
+        columns = [(use[..., kind], *(values[kind] for values in self._vm_static)) for kind in range(kinds)]
         link_exists, link_cost = self._link_static
-        net, service = simulator.world.env["net"], requests["service"]
-        delay = tables.hop_delay[net, service] / tables.tolerable_delay[service][:, None]
-        link_use = flat[:, count_vms(nodes, vms) :][:, : link_exists.shape[1]]
+        env = simulator.world.env
+        net, profile = env["net"], np.where(env["done"] == 0, env["profile"], 0)
+        rate = tables.rate[profile, np.where(env["done"] == 0, env["function"], 0)]
+        hop = link_delay(tables.link_delay[net], rate[:, None], tables.link_speed[net])
+        delay = np.where(link_exists, hop, 0.0) / tables.tolerable_delay[profile][:, None]
+        link_use = flat[:, places:][:, : link_exists.shape[1]]
         marks = np.zeros((batch, nodes, len(NODE_FEATURES)), np.float32)
         for column, name in enumerate(("node", "ingress", "egress")):
-            marks[rows, requests[name], column] = 1.0
+            there = requests[name] < nodes
+            marks[rows[there], requests[name][there], column] = 1.0
         values = {
-            "vms": _stack(vm_exists, use, speed, vm_cost),
+            "vms": _stack(self._vm_exists, *(column for columns_of in columns for column in columns_of)),
             "links": _stack(link_exists, link_use, delay, link_cost),
             "link_ends": self._ends.clone(),
             "nodes": torch.from_numpy(marks),

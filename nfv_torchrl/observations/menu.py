@@ -3,6 +3,7 @@
 Everything is a share, a ratio or a logarithm, so that one network with shared weights serves networks of any size.
 Means over a whole network hide that all VMs one pair of nodes can reach are full. So the room left is also measured
 where requests come from: for each of the latest requests, what is free on the VMs and links that it could have used.
+Of several kinds of resources the first is described.
 """
 
 from __future__ import annotations
@@ -115,6 +116,7 @@ class MenuView(NamedTuple):
 
     reference_load: float  # ledger units: mean over services of the load of their chain
     reference_rate: float  # ledger units: mean over services
+    rate_units: np.ndarray  # int64 [Q], of the segment with the highest rate
     chain_units: np.ndarray  # int64 [Q]
     largest_units: np.ndarray  # int64 [Q], of the largest function
     mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s
@@ -155,21 +157,23 @@ def _fill_sides(tables, net, side, queue):
 
 def make_menu_view(tables: Tables) -> MenuView:
     """``MenuView`` for any network and service of ``tables``."""
-    networks, nodes, _ = tables.vm_capacity.shape
-    services, functions = tables.load.shape
+    networks, nodes, _, _ = tables.vm_capacity.shape
+    services, functions = tables.services, tables.load.shape[1]
     counts = np.maximum(tables.vm_count.sum(axis=1), 1)
     side = np.zeros((networks, nodes, nodes), np.int16)
     queue = np.zeros(nodes, np.int64)
     for net in range(networks):
         _fill_sides(tables, net, side[net], queue)
-    chain = tables.load_units.sum(axis=1)
+    chain = tables.load_units[:services, :, 0].sum(axis=1)
+    rate = tables.rate_units[:services].max(axis=1)
     return MenuView(
         reference_load=float(chain.mean()),
-        reference_rate=float(tables.rate_units.mean()),
+        reference_rate=float(rate.mean()),
+        rate_units=rate,
         chain_units=chain,
-        largest_units=tables.load_units.max(axis=1),
-        mean_cost=tables.vm_unit_cost.sum(axis=(1, 2)) / counts,
-        mean_units=tables.vm_total / counts,
+        largest_units=tables.load_units[:services, :, 0].max(axis=1),
+        mean_cost=tables.vm_unit_cost[..., 0].sum(axis=(1, 2)) / counts,
+        mean_units=tables.vm_total[:, 0] / counts,
         side=side,
         usable=np.zeros((services, nodes), np.int64),
         cut=np.zeros(nodes, np.int64),
@@ -202,7 +206,7 @@ def _measure_nodes(world, b, own):
             own.usable[q, node] = 0
             own.scarce[q, node] = 1.0
             for vm in range(tables.vm_count[net, node]):
-                here = ledger.vm_offered[b, node, vm]
+                here = ledger.vm_offered[b, node, vm, 0]
                 if fits(here, own.largest_units[q]):
                     own.usable[q, node] += here
         own.ends[node] = 1.0
@@ -220,9 +224,10 @@ def _can_reach(world, b, own, request, node):
         return True
     if own.side[net, egress, node] != own.side[net, egress, ingress]:
         return False
-    if node == ingress and not world.rules.colocation:
+    if node == ingress and not (world.rules.colocation or world.rules.distinct):
         return False
-    there = tables.delay_to[net, service, ingress, node] + tables.delay_to[net, service, node, egress]
+    rate = tables.least_rate[service]
+    there = tables.delay_to[net, rate, ingress, node] + tables.delay_to[net, rate, node, egress]
     return there <= tables.tolerable_delay[service]
 
 
@@ -238,7 +243,7 @@ def _measure_requests(world, b, own, state):
         state[first + q * len(SERVICE) + SERVICE.vm_room_mean] = 0.0
         state[first + q * len(SERVICE) + SERVICE.link_room] = 1.0
     for r in range(max(0, e.cursor + 1 - PROBES), e.cursor + 1):
-        q = arrivals.service[b, r]
+        q = np.int64(arrivals.profile[b, r])
         ingress, egress = np.int64(arrivals.ingress[b, r]), np.int64(arrivals.egress[b, r])
         request = (q, ingress, egress)
         free = 0
@@ -269,12 +274,13 @@ def _describe_state(world, b, own, menu, state):
     mean = world.mean_lifetime[b]
     stay = AT_ONCE + (1.0 - AT_ONCE) * min(e.lifetime / mean, LONGEST_STAY) if mean > 0.0 else 1.0
     demand = own.chain_units[service] / own.reference_load
-    used = e.vm_used / tables.vm_total[net]
+    used = world.ledger.vm_used[b, 0] / tables.vm_total[net, 0]
     state[STATE.demand] = demand
     state[STATE.stay] = stay
     state[STATE.log_demand] = 0.5 * np.log(demand)
-    state[STATE.rate] = np.log(tables.rate_units[service] / own.reference_rate) / 4.0
-    state[STATE.near] = tables.delay_to[net, service, e.ingress, e.egress] / tables.tolerable_delay[service]
+    state[STATE.rate] = np.log(own.rate_units[service] / own.reference_rate) / 4.0
+    near = tables.delay_to[net, tables.least_rate[service], e.ingress, e.egress]
+    state[STATE.near] = near / tables.tolerable_delay[service]
     state[STATE.vm_used] = used
     state[STATE.vm_used_pow8] = _pow8(used)
     state[STATE.link_used] = e.link_used / tables.link_total[net]
@@ -282,7 +288,7 @@ def _describe_state(world, b, own, menu, state):
     state[STATE.nodes] = np.log(tables.num_nodes[net]) / 5.0
     state[STATE.vm_size] = np.log(own.mean_units[net] / own.reference_load) / 5.0
     if menu.mask[b, 0]:
-        usual = own.mean_cost[net] * tables.load[service].sum()
+        usual = own.mean_cost[net] * tables.load[service, :, 0].sum()
         state[STATE.least_cost] = np.log(max(menu.cost[b, 0], LEAST_COST) / usual) / 3.0
     state[STATE.ingress_room] = _room(own.cut[e.ingress], own.reference_rate)
     state[STATE.egress_room] = _room(own.cut[e.egress], own.reference_rate)
@@ -298,7 +304,7 @@ def _read_places(world, b, own, plan, steps):
         if places:
             own.place[count, 0] = node
             own.place[count, 1] = vm
-            own.place[count, 2] = world.tables.load_units[world.env[b].service, count]
+            own.place[count, 2] = world.tables.load_units[world.env[b].service, count, 0]
             count += 1
     return count
 
@@ -313,8 +319,8 @@ def _describe_vms(world, b, own, placed, row):
     for i in range(placed):
         node, vm = own.place[i, 0], own.place[i, 1]
         share = own.place[i, 2] / chain
-        left = ledger.vm_offered[b, node, vm]
-        used = 1.0 - left / capacity[net, node, vm]
+        left = ledger.vm_offered[b, node, vm, 0]
+        used = 1.0 - left / capacity[net, node, vm, 0]
         for j in range(placed):
             if own.place[j, 0] == node and own.place[j, 1] == vm:
                 left -= own.place[j, 2]
@@ -344,7 +350,7 @@ def _describe_links(world, b, own, plan, steps, row):
         if node == here:
             continue
         link = find_link(tables, e.net, here, node)
-        left = max(ledger.link_offered[b, link] - tables.rate_units[e.service], 0)
+        left = max(ledger.link_offered[b, link] - own.rate_units[e.service], 0)
         used = 1.0 - ledger.link_offered[b, link] / tables.link_capacity[e.net, link]
         row[ROW.link_used] += used
         row[ROW.link_used_pow16] += _pow8(used * used)

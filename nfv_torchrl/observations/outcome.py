@@ -27,7 +27,7 @@ def outcome_spec(simulator: Simulator) -> Composite:
     shape = (simulator.batch_size, 1)
     spec: dict = {name: Binary(1, shape=shape, dtype=torch.bool) for name in FLAGS if name not in OF_THEIR_OWN}
     spec["reason"] = Bounded(NO_REASON, len(REASON_NAMES) - 1, shape, dtype=torch.int64)
-    spec["service"] = Bounded(0, len(simulator.tables.chain_length) - 1, shape, dtype=torch.int64)
+    spec["service"] = Bounded(0, simulator.tables.services - 1, shape, dtype=torch.int64)
     spec |= {name: Unbounded(shape, dtype=torch.float32) for name in NUMBERS}
     return Composite(spec, shape=shape[:1])
 

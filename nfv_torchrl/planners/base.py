@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.search.walks import OVERFLOW
 from nfv_torchrl.simulator.compiled import kernel
 from nfv_torchrl.simulator.state import World
@@ -21,7 +22,7 @@ class Planner:
     environments at once. Both see the whole world of the simulator (``nfv_torchrl.simulator.state``) and must not write
     to it: ``world.env`` has each environment's request in hand (``service``, ``ingress``, ``egress``, ...) and the
     row ``net`` of its network in ``world.tables``; ``world.ledger`` has what VMs and links offer now, in whole cycles/s
-    and bit/s. Actions are those of ``nfv_torchrl.codec``.
+    (or millionths of the unit of a kind) and bit/s. Actions are those of ``nfv_torchrl.codec``.
 
     A planner is used by one thread at a time.
     """
@@ -53,6 +54,19 @@ class Planner:
         """
         for b in rows.tolist():
             lengths[b] = self.plan(world, b, plans[b])
+
+
+def refuse_free_ends(world: World, planner: str) -> None:
+    """For planners that need both ends of a request.
+
+    Raises:
+        ScenarioError: the scenario has requests with a free ingress or egress.
+    """
+    if world.rules.free_ends:
+        raise ScenarioError(
+            f"{planner}: plans requests whose ingress and egress are both given, and this scenario has free ones; use "
+            "greedy, myopic_optimal, priced, milp or a policy"
+        )
 
 
 def _plan_rows(world, rows, own, plans, lengths):

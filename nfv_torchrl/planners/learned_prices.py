@@ -15,11 +15,13 @@ import numpy as np
 from nfv_torchrl.codec import decode_action
 from nfv_torchrl.columns import columns
 from nfv_torchrl.planners.base import CompiledPlanner, over_rows
+from nfv_torchrl.scenario.units import LEDGER_UNITS
 from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW, Prices
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import inlined, kernel, part
+from nfv_torchrl.simulator.slots import used_vm_share
 from nfv_torchrl.simulator.tables import Tables
 
 
@@ -76,6 +78,8 @@ class AdmitFeatures(NamedTuple):
 ADMIT = columns(AdmitFeatures)
 ADMIT_FEATURES = AdmitFeatures._fields
 MOST_FEATURES = max(len(VM_FEATURES), len(LINK_FEATURES), len(ADMIT_FEATURES))
+LEAST_RATIO = 1e-9
+"""Of the load of a chain to a usual one's, for chains that take next to nothing."""
 LONGEST = 20.0
 """Lifetimes are seen up to this multiple of their mean, and from one 400th of it."""
 
@@ -103,13 +107,17 @@ class PriceWeights(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """What the functions measure with, fixed during a run."""
+    """What the functions measure with, fixed during a run.
 
-    reference_load: float  # r, Mcycles/s: mean over services of the load of their chain
-    reference_units: float  # the same in ledger units
-    mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s: mean unit cost of VMs
-    chain_load: np.ndarray  # float64 [K], Mcycles/s
-    largest_units: np.ndarray  # int64 [K], ledger units of the largest function
+    Of several kinds of resources, each has its own numbers; what is said of a request is said of the kind of which its
+    chain takes the largest share of what usual chains take.
+    """
+
+    reference_load: np.ndarray  # float64 [R], r, Mcycles/s: mean over profiles of the load of their chain
+    reference_units: np.ndarray  # float64 [R], the same in ledger units
+    mean_cost: np.ndarray  # float64 [S, R], $ per Mcycles/s: mean unit cost of VMs
+    chain_load: np.ndarray  # float64 [P, R], Mcycles/s
+    largest_units: np.ndarray  # int64 [P, R], ledger units of the largest function
 
 
 class LearnedScratch(NamedTuple):
@@ -137,9 +145,9 @@ def measures_of(tables: Tables) -> Measures:
     chain = tables.load.sum(axis=1)
     counts = tables.vm_count.sum(axis=1)
     return Measures(
-        reference_load=float(chain.mean()),
-        reference_units=float(tables.load_units.sum(axis=1).mean()),
-        mean_cost=tables.vm_unit_cost.sum(axis=(1, 2)) / np.maximum(counts, 1),
+        reference_load=np.maximum([column.mean() for column in chain.T], 1 / LEDGER_UNITS),
+        reference_units=np.maximum([column.mean() for column in tables.load_units.sum(axis=1).T], 1.0),
+        mean_cost=tables.vm_unit_cost.sum(axis=(1, 2)) / np.maximum(counts, 1)[:, None],
         chain_load=chain,
         largest_units=tables.load_units.max(axis=1),
     )
@@ -173,7 +181,10 @@ def _powers(x, at, used):
 def _describe_request(world, b, own):
     """Fill the features of the request itself."""
     e, measures = world.env[b], own.measures
-    own.request[REQUEST.load] = 0.5 * np.log(measures.chain_load[e.service] / measures.reference_load)
+    ratio = measures.chain_load[e.profile, 0] / measures.reference_load[0]
+    for kind in range(1, measures.reference_load.size):
+        ratio = max(ratio, measures.chain_load[e.profile, kind] / measures.reference_load[kind])
+    own.request[REQUEST.load] = 0.5 * np.log(max(ratio, LEAST_RATIO))
     own.request[REQUEST.lifetime] = 0.0
     mean = world.mean_lifetime[b]
     if mean > 0.0:
@@ -182,30 +193,38 @@ def _describe_request(world, b, own):
 
 @part
 def _price_vms(world, b, own, vm_price):
-    """Fill ``vm_price`` [N, V], $ per Mcycles/s."""
+    """Fill ``vm_price`` [N, V, R], $ per Mcycles/s or unit of the kind."""
+    tables, e = world.tables, world.env[b]
+    for kind in range(tables.vm_capacity.shape[3]):
+        for node in range(tables.num_nodes[e.net]):
+            _price_node(world, b, own, node, kind, vm_price)
+
+
+@part
+def _price_node(world, b, own, node, kind, vm_price):
+    """The prices of one kind on the VMs of ``node``."""
     tables, e, measures, x = world.tables, world.env[b], own.measures, own.x
     offered = world.ledger.vm_offered
     net = e.net
-    largest = measures.largest_units[e.service]
-    network_used = e.vm_used / tables.vm_total[net]
-    for node in range(tables.num_nodes[net]):
-        free, total = np.int64(0), np.int64(0)
-        for vm in range(tables.vm_count[net, node]):
-            free += offered[b, node, vm]
-            total += tables.vm_capacity[net, node, vm]
-        for vm in range(tables.vm_count[net, node]):
-            here = offered[b, node, vm]
-            _powers(x, VM, 1.0 - here / tables.vm_capacity[net, node, vm])
-            x[VM.short] = measures.reference_units / (measures.reference_units + here)
-            x[VM.tight] = largest / (largest + here)
-            x[VM.node_used] = 1.0 - free / total
-            x[VM.network_used] = network_used
-            x[VM.dear] = tables.vm_unit_cost[net, node, vm] / measures.mean_cost[net] - 1.0
-            x[VM.load] = own.request[REQUEST.load]
-            x[VM.lifetime] = own.request[REQUEST.lifetime]
-            x[VM.colocation] = 1.0 if world.rules.colocation else 0.0
-            rise = x[VM.used] * max(_value(own.weights.vm, x), 0.0) * own.weights.unit * measures.mean_cost[net]
-            vm_price[node, vm] = tables.vm_unit_cost[net, node, vm] + rise
+    largest = measures.largest_units[e.profile, kind]
+    network_used = world.ledger.vm_used[b, kind] / tables.vm_total[net, kind]
+    free, total = np.int64(0), np.int64(0)
+    for vm in range(tables.vm_count[net, node]):
+        free += offered[b, node, vm, kind]
+        total += tables.vm_capacity[net, node, vm, kind]
+    for vm in range(tables.vm_count[net, node]):
+        here = offered[b, node, vm, kind]
+        _powers(x, VM, 1.0 - here / tables.vm_capacity[net, node, vm, kind])
+        x[VM.short] = measures.reference_units[kind] / (measures.reference_units[kind] + here)
+        x[VM.tight] = largest / max(largest + here, 1)
+        x[VM.node_used] = 1.0 - free / total
+        x[VM.network_used] = network_used
+        x[VM.dear] = tables.vm_unit_cost[net, node, vm, kind] / measures.mean_cost[net, kind] - 1.0
+        x[VM.load] = own.request[REQUEST.load]
+        x[VM.lifetime] = own.request[REQUEST.lifetime]
+        x[VM.colocation] = 1.0 if world.rules.colocation else 0.0
+        rise = x[VM.used] * max(_value(own.weights.vm, x), 0.0) * own.weights.unit * measures.mean_cost[net, kind]
+        vm_price[node, vm, kind] = tables.vm_unit_cost[net, node, vm, kind] + rise
 
 
 @part
@@ -214,32 +233,37 @@ def _price_links(world, b, own, link_price):
     tables, e, x = world.tables, world.env[b], own.x
     offered = world.ledger.link_offered
     net = e.net
-    rate = tables.rate_units[e.service]
+    rate = np.int64(0)
+    for segment in range(tables.chain_length[e.profile] + 1):
+        rate = max(rate, tables.rate_units[e.profile, segment])
     network_used = e.link_used / tables.link_total[net]
     for link in range(tables.num_links[net]):
         here = offered[b, link]
         _powers(x, LINK, 1.0 - here / tables.link_capacity[net, link])
-        x[LINK.tight] = rate / (rate + here)
+        x[LINK.tight] = rate / max(rate + here, 1)
         x[LINK.network_used] = network_used
         x[LINK.load] = own.request[REQUEST.load]
         x[LINK.lifetime] = own.request[REQUEST.lifetime]
-        rise = x[LINK.used] * max(_value(own.weights.link, x), 0.0) * own.weights.unit * own.measures.mean_cost[net]
+        rise = x[LINK.used] * max(_value(own.weights.link, x), 0.0) * own.weights.unit * own.measures.mean_cost[net, 0]
         link_price[link] = tables.link_unit_cost[net, link] + rise
 
 
 @part
-def _tightest(world, b, largest, steps, plan):
-    """Largest d / (d + free) over the VMs that the plan uses, d ``largest`` and free what the plan leaves there."""
+def _tightest(world, b, measures, steps, plan):
+    """Largest d / (d + free) over the VMs that the plan uses: d of the largest function, free what the plan leaves."""
     tables, e = world.tables, world.env[b]
     vms = world.ledger.vm_offered.shape[2]
     worst = 0.0
     function = 0
     for k in range(steps):
         node, vm, places = decode_action(plan[k], vms)
-        if places:
-            free = world.ledger.vm_offered[b, node, vm] - tables.load_units[e.service, function]
-            worst = max(worst, largest / (largest + max(free, 0)))
-            function += 1
+        if not places:
+            continue
+        for kind in range(tables.load_units.shape[2]):
+            largest = measures.largest_units[e.profile, kind]
+            free = world.ledger.vm_offered[b, node, vm, kind] - tables.load_units[e.profile, function, kind]
+            worst = max(worst, largest / max(largest + max(free, 0), 1))
+        function += 1
     return worst
 
 
@@ -248,11 +272,11 @@ def _refuses(world, b, own, steps, plan):
     """Whether the walk just found is not worth having."""
     tables, e, measures = world.tables, world.env[b], own.measures
     x, result = own.x, own.search.result
-    unit = own.weights.unit * measures.mean_cost[e.net] * measures.reference_load
-    used = e.vm_used / tables.vm_total[e.net]
+    unit = own.weights.unit * measures.mean_cost[e.net, 0] * measures.reference_load[0]
+    used = used_vm_share(world, b)
     x[ADMIT.priced] = np.log(result[0] / unit + 1e-9) / 3.0
     x[ADMIT.true] = np.log(result[1] / unit + 1e-9) / 3.0
-    x[ADMIT.tightest] = _tightest(world, b, measures.largest_units[e.service], steps, plan)
+    x[ADMIT.tightest] = _tightest(world, b, measures, steps, plan)
     x[ADMIT.network_used] = used
     x[ADMIT.network_used_pow4] = used * used * used * used
     x[ADMIT.links_used] = e.link_used / tables.link_total[e.net]

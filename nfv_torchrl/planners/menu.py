@@ -45,7 +45,7 @@ class MenuScratch(NamedTuple):
 
     level: np.ndarray  # float64 [K], p_k in mean unit costs of the network's VMs, ascending, the first 0
     steepness: float  # M
-    mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s
+    mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s, of the first kind of resources
     search: Scratch
     risen: Prices  # prices at p = 1
     waiting: np.ndarray  # int64 [K, 2], pairs of levels with others between them
@@ -82,14 +82,14 @@ def make_menu(rules: Rules, batch: int, levels: int) -> Menu:
 
 def make_menu_scratch(tables: Tables, level: np.ndarray, steepness: float) -> MenuScratch:
     """Scratch for any network and service of ``tables``."""
-    _, nodes, vms = tables.vm_capacity.shape
+    _, nodes, vms, kinds = tables.vm_capacity.shape
     counts = np.maximum(tables.vm_count.sum(axis=1), 1)
     return MenuScratch(
         level=level,
         steepness=float(steepness),
-        mean_cost=tables.vm_unit_cost.sum(axis=(1, 2)) / counts,
+        mean_cost=tables.vm_unit_cost[..., 0].sum(axis=(1, 2)) / counts,
         search=make_scratch(tables),
-        risen=Prices(np.zeros((nodes, vms)), np.zeros(tables.link_capacity.shape[1])),
+        risen=Prices(np.zeros((nodes, vms, kinds)), np.zeros(tables.link_capacity.shape[1])),
         waiting=np.zeros((len(level) + 1, 2), np.int64),
     )
 
@@ -110,7 +110,9 @@ def _search_level(world, b, k, own, menu):
         p = own.level[k]
         for node in range(prices.vm.shape[0]):
             for vm in range(prices.vm.shape[1]):
-                prices.vm[node, vm] = unit.vm[node, vm] + p * (own.risen.vm[node, vm] - unit.vm[node, vm])
+                for kind in range(prices.vm.shape[2]):
+                    here = unit.vm[node, vm, kind]
+                    prices.vm[node, vm, kind] = here + p * (own.risen.vm[node, vm, kind] - here)
         for link in range(prices.link.size):
             prices.link[link] = unit.link[link] + p * (own.risen.link[link] - unit.link[link])
         steps = plan_cheapest(world, b, prices, own.search, menu.action[b, k])

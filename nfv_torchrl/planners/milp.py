@@ -95,12 +95,17 @@ class _Programme:
         self.first = np.r_[0, np.cumsum(sizes)].astype(np.int64)  # first variable of each request
         self.num_vars = int(self.first[-1]) + len(self.requests)
         self.accept = np.arange(self.first[-1], self.num_vars)
-        self.budgets = np.array([tables.tolerable_delay[r.service] + DELAY_TOLERANCE for r in requests])
+        self.budgets = np.array([tables.tolerable_delay[r.profile] + DELAY_TOLERANCE for r in requests])
         self.rows = [
             *self._conservation(),
-            *self._capacity(ledger.vm_offered[b].ravel(), "vm"),
+            *(
+                row
+                for kind in range(tables.load.shape[2])
+                for row in self._capacity(ledger.vm_offered[b, :, :, kind].ravel(), "vm", kind)
+            ),
             *self._capacity(ledger.link_offered[b], "link"),
             *self._budgets(),
+            *(self._meetings() if self.rules.distinct else []),
         ]
 
     def most_accepted(self) -> int:
@@ -164,13 +169,13 @@ class _Programme:
             out.append(LinearConstraint(self._matrix(rows, columns, values, graph.num_states), 0.0, 0.0))
         return out
 
-    def _capacity(self, offered: np.ndarray, resource: str) -> list[LinearConstraint]:
-        """One row per VM or link: everything that this slot's requests put on it, repeated use included."""
+    def _capacity(self, offered: np.ndarray, resource: str, kind: int = 0) -> list[LinearConstraint]:
+        """One row per VM (of one kind of resources) or link: all that the requests put on it, repeated use too."""
         columns = np.concatenate([self.first[i] + np.flatnonzero(getattr(g, resource) >= 0) for i, g in self._each()])
         if columns.size == 0:
             return []
         rows = np.concatenate([getattr(g, resource)[getattr(g, resource) >= 0] for _, g in self._each()])
-        demand = np.concatenate([self._demand(i, g, resource) for i, g in self._each()])
+        demand = np.concatenate([self._demand(i, g, resource, kind) for i, g in self._each()])
         unit = int(np.gcd.reduce(demand)) or 1
         matrix = self._matrix(rows, columns, (demand // unit).astype(np.float64), offered.size)
         room = np.minimum(offered // unit, matrix.sum(axis=1).astype(np.int64))
@@ -180,16 +185,30 @@ class _Programme:
     def _each(self) -> list[tuple[int, LayeredGraph]]:
         return list(enumerate(self.graphs))
 
-    def _demand(self, index: int, graph: LayeredGraph, resource: str) -> np.ndarray:
+    def _demand(self, index: int, graph: LayeredGraph, resource: str, kind: int) -> np.ndarray:
         """Ledger units, int64, that each arc on a VM (or link) takes from it."""
-        service = self.requests[index].service
+        profile = self.requests[index].profile
         if resource == "vm":
-            return self.tables.load_units[service, graph.function[graph.vm >= 0]]
-        return np.full(int((graph.link >= 0).sum()), self.tables.rate_units[service])
+            return self.tables.load_units[profile, graph.function[graph.vm >= 0], kind]
+        return self.tables.rate_units[profile, graph.segment[graph.link >= 0]]
+
+    def _meetings(self) -> list[LinearConstraint]:
+        """Per request and node: at most one function."""
+        out = []
+        for index, graph in self._each():
+            placing = np.flatnonzero(graph.vm >= 0)
+            if placing.size:
+                matrix = self._matrix(
+                    graph.node[placing], self.first[index] + placing, np.ones(placing.size), int(graph.node.max()) + 1
+                )
+                out.append(LinearConstraint(matrix, -np.inf, 1.0))
+        return out
 
     def _budgets(self) -> list[LinearConstraint]:
         """Per request: the tolerable delay, and for walks the number of steps."""
-        out = [self._sums([graph.delay for graph in self.graphs], self.budgets)]
+        out = []
+        if np.isfinite(self.budgets).any():
+            out.append(self._sums([graph.delay for graph in self.graphs], self.budgets))
         if self.form == "walk":
             steps = [graph.steps.astype(np.float64) for graph in self.graphs]
             out.append(self._sums(steps, np.full(len(self.graphs), float(self.rules.max_steps))))

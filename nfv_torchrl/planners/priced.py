@@ -2,7 +2,8 @@
 
 The price of a unit is its unit cost plus p * (M^u - 1) / (M - 1), u the used share of the resource: exponential costs
 as in competitive online routing (Awerbuch, Azar and Plotkin 1993). An empty resource costs what it costs, a full one p
-more, and the larger M the later the price rises.
+more, and the larger M the later the price rises. Of further kinds of resources a full one costs as much more for the
+same share of what is installed.
 """
 
 from __future__ import annotations
@@ -43,11 +44,20 @@ def fill_prices(world, b, rule, prices):
     rise = np.log(rule.steepness)
     for node in range(tables.num_nodes[net]):
         for vm in range(tables.vm_count[net, node]):
-            used = 1.0 - ledger.vm_offered[b, node, vm] / tables.vm_capacity[net, node, vm]
-            prices.vm[node, vm] = tables.vm_unit_cost[net, node, vm] + scale * (np.exp(rise * used) - 1.0)
+            for kind in range(tables.vm_capacity.shape[3]):
+                used = 1.0 - ledger.vm_offered[b, node, vm, kind] / tables.vm_capacity[net, node, vm, kind]
+                own = scale if kind == 0 else scale * kind_scale(tables, net, kind)
+                unit_cost = tables.vm_unit_cost[net, node, vm, kind]
+                prices.vm[node, vm, kind] = unit_cost + own * (np.exp(rise * used) - 1.0)
     for link in range(tables.num_links[net]):
         used = 1.0 - ledger.link_offered[b, link] / tables.link_capacity[net, link]
         prices.link[link] = tables.link_unit_cost[net, link] + scale * (np.exp(rise * used) - 1.0)
+
+
+@part
+def kind_scale(tables, net, kind):
+    """What a unit of a kind is worth in units of the first: the installed amount of that over the kind's own."""
+    return tables.vm_total[net, 0] / tables.vm_total[net, kind]
 
 
 @part

@@ -14,13 +14,14 @@ import numpy as np
 
 from nfv_torchrl.codec import vm_resource
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.base import CompiledPlanner, over_rows
+from nfv_torchrl.planners.base import CompiledPlanner, over_rows, refuse_free_ends
 from nfv_torchrl.search.placing import (
     Placing,
     encode_placement,
     first_position,
     grow_placing,
     judge,
+    last_position,
     make_placing,
     node_at,
     place_greedily,
@@ -28,6 +29,7 @@ from nfv_torchrl.search.placing import (
 from nfv_torchrl.search.walks import OVERFLOW, make_problem, unit_costs
 from nfv_torchrl.settings.values import Count, Natural
 from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.state import World
 from nfv_torchrl.simulator.tables import Tables
 
 PENALTY = 1e6
@@ -125,10 +127,10 @@ def _best_move(problem, scratch, row, path, least):
     hops = placing.paths.hops[number]
     move = (-1, -1, -1, -1)
     lowest = np.inf
-    for i in range(problem.functions):
+    for i in range(problem.functions if not placing.hopeless[path] else 0):
         old_at, old_vm = position[i], vm[i]
         first = first_position(problem, hops, position[i - 1] if i > 0 else -1)
-        for at in range(first, hops + 1):
+        for at in range(first, last_position(problem, hops, i) + 1):
             if not _may_precede(problem, position, i, at, hops):
                 break
             node = node_at(problem, placing.paths, number, at)
@@ -144,7 +146,7 @@ def _best_move(problem, scratch, row, path, least):
                     move = (i, at, v, -1)
         position[i], vm[i] = old_at, old_vm
     for j in range(placing.paths.found[row]):
-        if j == path:
+        if j == path or placing.hopeless[j]:
             continue
         other = row * placing.lacking.size + j
         cost, violation = judge(problem, placing, other, j, placing.position[j], placing.vm[j])
@@ -205,6 +207,15 @@ class TabuPlanner(CompiledPlanner):
         self.paths = int(paths)
         self.iterations = int(iterations)
         self.tenure = int(tenure)
+
+    def prepare(self, world: World) -> None:
+        """See ``CompiledPlanner``.
+
+        Raises:
+            ScenarioError: the scenario has requests with a free end, which lie on no paths between two nodes.
+        """
+        refuse_free_ends(world, "tabu")
+        super().prepare(world)
 
     def make(self, tables: Tables) -> TabuScratch:
         """See ``CompiledPlanner``."""

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.observations.menu import MenuShape, MenuView, describe_menus, make_menu_view
+from nfv_torchrl.planners.base import refuse_free_ends
 from nfv_torchrl.planners.menu import (
     LEVELS,
     STEEPNESS,
@@ -21,6 +23,21 @@ from nfv_torchrl.planners.menu import (
 from nfv_torchrl.settings.values import AboveOne, NotNegative
 from nfv_torchrl.simulator.state import World
 from nfv_torchrl.simulator.tables import Tables
+
+
+def check_requests(world: World) -> None:
+    """Refuse worlds whose requests menus do not describe.
+
+    Raises:
+        ScenarioError: requests with a free end, with demands of their own, or that take nothing of the first kind of
+            resources or of a link.
+    """
+    refuse_free_ends(world, "menu")
+    tables = world.tables
+    if world.seen.demand:
+        raise ScenarioError("menu: describes requests by their service, and some of these bring demands of their own")
+    if (tables.load[:, :, 0].sum(axis=1) == 0).any() or (tables.rate.max(axis=1) == 0).any():
+        raise ScenarioError("menu: a service takes nothing of the first kind of resources, or has no rate; change it")
 
 
 class Menus:
@@ -49,10 +66,15 @@ class Menus:
 
     def shape(self, tables: Tables) -> MenuShape:
         """How ``flat`` is laid out."""
-        return MenuShape.of(len(tables.chain_length), len(self.level))
+        return MenuShape.of(tables.services, len(self.level))
 
     def prepare(self, world: World) -> None:
-        """Allocate what the environments of ``world`` need, unless that is done already."""
+        """Allocate what the environments of ``world`` need, unless that is done already.
+
+        Raises:
+            ScenarioError: requests that menus do not describe.
+        """
+        check_requests(world)
         batch = len(world.env)
         if self._tables is not world.tables:
             self._tables = world.tables

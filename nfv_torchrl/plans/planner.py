@@ -77,7 +77,7 @@ class MenuPlanner(Planner):
 
     def sizes(self, simulator: Simulator) -> Sizes:
         """The sizes of the policy's observation and actions (one for each level, and reject)."""
-        services = len(simulator.tables.chain_length)
+        services = simulator.tables.services
         return Sizes(
             observation=self.menus.shape(simulator.tables).size,
             actions=len(self.menus.level) + 1,

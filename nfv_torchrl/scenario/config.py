@@ -11,6 +11,7 @@ from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.failures import FailureModel
+from nfv_torchrl.scenario.kinds import CPU, Resource, parse_kinds
 from nfv_torchrl.scenario.names import check_name
 from nfv_torchrl.scenario.services import PAPER_VNFS, ServiceType, paper_catalogue
 from nfv_torchrl.settings.values import parse_dataclass, shown
@@ -38,6 +39,8 @@ class SubstrateConfig:
         fibre_km_per_ms: speed of light in fibre, km per ms.
         detour: length of a fibre over the great circle's.
         largest_component: of a disconnected file take the largest component instead of refusing it.
+        duplex: ``shared``: one capacity for both directions of a link; ``full``: each direction has its own, that of
+            the file's ``back_capacity`` or the same again; null: full where the file has that, else shared.
         target_rho: after the draw all VM capacities are scaled by one factor so that the offered load is this.
     """
 
@@ -57,9 +60,12 @@ class SubstrateConfig:
     fibre_km_per_ms: float = 200.0
     detour: float = 1.0
     largest_component: bool = False
+    duplex: str | None = None
     target_rho: float | None = None
 
     def __post_init__(self) -> None:
+        if self.duplex not in (None, "shared", "full"):
+            raise ScenarioError(f"substrate.duplex: {shown(self.duplex)} is unknown; use shared or full, or null")
         if self.target_rho is not None and not 1e-6 <= self.target_rho <= 1e6:
             raise ScenarioError(f"substrate.target_rho: {self.target_rho}; use a positive number up to 1e6, or null")
 
@@ -81,7 +87,10 @@ class ScenarioConfig:
 
     Attributes:
         pairs_per_service: P, (ingress, egress) pairs of a service type with ``endpoints: catalogue``.
-        vnfs: processing requirement d of each VNF, cycles/bit.
+        placement: ``walk``: one function with each arrival at a node; ``colocate``: what ``colocation: true`` says;
+            ``distinct``: no two functions of a request on one node; null: as ``colocation`` says.
+        resources: kinds of resources by name, see ``nfv_torchrl.scenario.kinds.Resource``; null: cpu alone.
+        vnfs: processing requirement d of each VNF, cycles/bit; or a mapping from kinds of resources to requirements.
         services: service types by name.
     """
 
@@ -94,12 +103,14 @@ class ScenarioConfig:
     endpoints: str = "catalogue"
     pairs_per_service: int = 10
     colocation: bool = False
+    placement: str | None = None
     mask: str = "adjacency"
     admission_control: bool = False
     observe_lifetime: bool = False
     max_steps: int = 100
     substrate: SubstrateConfig = field(default_factory=SubstrateConfig)
-    vnfs: dict[str, float] = field(default_factory=lambda: dict(PAPER_VNFS))
+    resources: tuple[Resource, ...] = CPU
+    vnfs: dict[str, float | dict[str, float]] = field(default_factory=lambda: dict(PAPER_VNFS))
     services: dict[str, ServiceType] = field(default_factory=_paper_services)
     workload: WorkloadConfig = field(default_factory=WorkloadConfig)
     failures: FailureModel = field(default_factory=FailureModel)
@@ -119,6 +130,7 @@ def parse_config(config: Mapping[str, Any] | ScenarioConfig) -> ScenarioConfig:
     if not isinstance(config, Mapping):
         raise ScenarioError(f"scenario: is a {type(config).__name__}; a mapping of keys to values was expected")
     values = dict(config)
+    values["resources"] = parse_kinds(values.get("resources"), "scenario.resources")
     if values.get("services") is None:
         values.pop("services", None)
     else:

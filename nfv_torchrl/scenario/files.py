@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,8 +14,9 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import read_json
 from nfv_torchrl.scenario.config import ScenarioConfig, parse_config
 from nfv_torchrl.scenario.failures import FailureTimeline
+from nfv_torchrl.scenario.kinds import CPU, Resource
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.scenario.services import ServiceCatalogue
+from nfv_torchrl.scenario.services import ServiceCatalogue, ServiceType
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.workload import Workload
 
@@ -32,6 +34,8 @@ PLAIN_KEYS = (
     "observe_lifetime",
     "max_steps",
 )
+NEWER_KEYS: dict[str, Any] = {"placement": None, "resources": None}
+"""Keys that a file has where they are not these."""
 OTHER_KEYS = ("method", "seeds", "endpoint_pairs", "workload_path", "vnfs", "services", "failures", "failure_timeline")
 
 
@@ -63,11 +67,20 @@ def scenario_to_json(
         **{key: getattr(scenario, key) for key in PLAIN_KEYS},
         "endpoint_pairs": None if pairs is None else pairs.tolist(),
         "workload_path": None if scenario.workload_path is None else str(scenario.workload_path),
-        "vnfs": dict(catalogue.vnfs),
-        "services": [{**dataclasses.asdict(service), "chain": list(service.chain)} for service in catalogue.types],
+        **({} if scenario.placement is None else {"placement": scenario.placement}),
+        **({} if catalogue.resources == CPU else {"resources": [_shortened(kind) for kind in catalogue.resources]}),
+        "vnfs": {name: dict(vnf) if isinstance(vnf, Mapping) else vnf for name, vnf in catalogue.vnfs.items()},
+        "services": [{**_shortened(service), "chain": list(service.chain)} for service in catalogue.types],
         "failures": dataclasses.asdict(scenario.failures),
         "failure_timeline": timeline.to_events(scenario.substrate),
     }
+
+
+def _shortened(part: ServiceType | Resource) -> dict[str, Any]:
+    """Its attributes without those of the general model that are left as they are by default."""
+    newer = ("rates", "ingress", "egress", "vm_capacity", "vm_unit_cost")
+    values = dataclasses.asdict(part)
+    return {key: value for key, value in values.items() if key not in newer or value is not None}
 
 
 def read_run_folder(folder: str | os.PathLike[str]) -> StoredRun:
@@ -98,8 +111,8 @@ def read_run_folder(folder: str | os.PathLike[str]) -> StoredRun:
 
 
 def _check_keys(data: dict[str, Any], path: Path) -> None:
-    known = (*PLAIN_KEYS, *OTHER_KEYS)
-    for key in known:
+    known = (*PLAIN_KEYS, *OTHER_KEYS, *NEWER_KEYS)
+    for key in (*PLAIN_KEYS, *OTHER_KEYS):
         if key not in data:
             raise ScenarioError(f"{path}: {key!r} is missing; write the file again")
     for key in data:
@@ -112,7 +125,9 @@ def _check_keys(data: dict[str, Any], path: Path) -> None:
 
 def _scenario(data: dict[str, Any], substrate: Substrate) -> Scenario:
     config: ScenarioConfig = parse_config(
-        {key: data[key] for key in (*PLAIN_KEYS, "vnfs", "services", "failures")} | {"seed": data["seeds"]["scenario"]}
+        {key: data[key] for key in (*PLAIN_KEYS, "vnfs", "services", "failures")}
+        | {key: data.get(key, value) for key, value in NEWER_KEYS.items()}
+        | {"seed": data["seeds"]["scenario"]}
     )
     pairs = None
     if data["endpoint_pairs"] is not None:
@@ -123,8 +138,9 @@ def _scenario(data: dict[str, Any], substrate: Substrate) -> Scenario:
     return Scenario(
         seed=config.seed,
         substrate=substrate,
-        catalogue=ServiceCatalogue(types=tuple(config.services.values()), vnfs=config.vnfs),
+        catalogue=ServiceCatalogue(tuple(config.services.values()), config.vnfs, config.resources),
         endpoint_pairs=pairs,
+        placement=config.placement,
         failures=config.failures,
         **{key: getattr(config, key) for key in PLAIN_KEYS},
     )

@@ -29,7 +29,7 @@ REQUEST_BYTES = 200
 """Of each request of a workload, with what is in memory while it is drawn and written."""
 SLOT_BYTES = 4
 """Of each slot of a horizon in an environment."""
-STEP_BYTES = 28 + 16 * 8
+STEP_BYTES = 20 + 12 * 8
 """Of each step that a walk may take: its log, and room for as many reservations."""
 EVENT_BYTES = 300
 """Of each failure or repair, with its line in a decision folder."""
@@ -46,7 +46,8 @@ class Sizes(NamedTuple):
     """What the memory of a scenario follows from.
 
     N ``nodes`` with V ``vms`` each and L ``links``, K ``services`` of at most F ``functions``, T slots of ``horizon``,
-    R expected ``requests`` of which ``running`` at a time, J ``max_steps``, E expected failure ``events``.
+    R expected ``requests`` of which ``running`` at a time, J ``max_steps``, E expected failure ``events``; ``kinds`` of
+    resources, and ``rates``: different least rates of profiles with a delay limit.
     """
 
     nodes: int
@@ -59,6 +60,8 @@ class Sizes(NamedTuple):
     running: float
     max_steps: int
     events: float = 0.0
+    kinds: int = 1
+    rates: int = 1
 
 
 def free_bytes() -> int:
@@ -116,8 +119,11 @@ def table_parts(sizes: Sizes) -> dict[str, float]:
     """What the tables of one substrate take, whatever the number of environments."""
     pairs = float(sizes.nodes) ** 2
     return {
-        f"substrate.nodes={sizes.nodes}": 16 * pairs + 24.0 * sizes.nodes * sizes.vms + 56.0 * sizes.links,
-        f"services ({sizes.services})": 12 * pairs * sizes.services + 8.0 * sizes.links * sizes.services,
+        f"substrate.nodes={sizes.nodes}": 16 * pairs
+        + 24.0 * sizes.nodes * sizes.vms * sizes.kinds
+        + 56.0 * sizes.links,
+        f"services ({sizes.services})": 12 * pairs * sizes.rates
+        + 8.0 * sizes.services * sizes.functions * (2 * sizes.kinds + 4),
     }
 
 
@@ -131,16 +137,17 @@ def workload_parts(sizes: Sizes) -> dict[str, float]:
 
 def environment_parts(sizes: Sizes, *, record: bool = False) -> dict[str, float]:
     """What one environment takes in the simulator (see ``simulator/state.py``); ``record``: with its decisions."""
-    places = float(sizes.nodes) * sizes.vms
-    actions = 2 * places + 1
+    vms = float(sizes.nodes) * sizes.vms
+    places = vms * sizes.kinds
+    actions = 2 * vms + 1
     features = places + sizes.links + 5 + sizes.services + 2 * sizes.nodes + sizes.functions + 1
     records = max(256.0, POOL_GROWTH * sizes.running)
     entries = max(2048.0, POOL_GROWTH * RESERVATIONS * sizes.running)
     return {
         f"substrate.nodes={sizes.nodes}": 17 * (places + sizes.links) + 5 * actions + 4 * features,
-        f"arrival_rate * horizon ({sizes.requests:.4g} requests)": (24 + 100 * record) * sizes.requests
+        f"arrival_rate * horizon ({sizes.requests:.4g} requests)": (26 + 100 * record) * sizes.requests
         + 20 * records
-        + 16 * entries,
+        + 12 * entries,
         f"horizon={sizes.horizon}": SLOT_BYTES * float(sizes.horizon),
         f"max_steps={sizes.max_steps}": STEP_BYTES * float(sizes.max_steps),
         f"failures ({sizes.events:.4g} events)": 18 * sizes.events,

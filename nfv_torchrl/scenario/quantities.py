@@ -60,7 +60,7 @@ _ALL = (
     Quantity("unit_cost", "link", "$ per Mbit/s"),
     Quantity("latitude", "node", "degrees", least=-90.0, most=90.0, zoo={"Latitude": Unit()}),
     Quantity("longitude", "node", "degrees", least=-180.0, most=180.0, zoo={"Longitude": Unit()}),
-    Quantity("vm_count", "node", "VMs", least=1.0, most=MAX_VMS),
+    Quantity("vm_count", "node", "VMs", least=0.0, most=MAX_VMS),
     Quantity("vm_capacity", "node", "Mcycles/s", least=1 / LEDGER_UNITS),
     Quantity("vm_unit_cost", "node", "$ per Mcycles/s"),
 )

@@ -16,7 +16,9 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import read_text, write_atomically
-from nfv_torchrl.scenario.services import ServiceCatalogue
+from nfv_torchrl.scenario.demands import Demand, parse_demand, to_profiles, write_demand
+from nfv_torchrl.scenario.profiles import Profiles
+from nfv_torchrl.scenario.services import ANY, FREE, ServiceCatalogue
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.settings.values import shown
 
@@ -24,7 +26,9 @@ HEADER = ("slot", "service", "ingress", "egress", "lifetime")
 """Columns of a file that names nodes as the network's file does, by id or label."""
 INDEX_HEADER = ("slot", "service", "ingress_index", "egress_index", "lifetime")
 """Columns of a file that numbers nodes 0 .. N-1 in the substrate's order, as the files that are written here."""
-KNOWN = (*HEADER, "ingress_index", "egress_index")
+DEMAND = "demand"
+"""A further column, where requests ask for something else than their service: JSON, see ``scenario/demands.py``."""
+KNOWN = (*HEADER, "ingress_index", "egress_index", DEMAND)
 LONGEST_FIELD = 500
 
 # int() and float() take more than a file should say: 1_000, infinity, digits of other scripts.
@@ -33,23 +37,33 @@ DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 class Columns(NamedTuple):
-    """R requests: ``slot``, ``service``, ``ingress``, ``egress`` int64 [R], ``lifetime`` (s) float64 [R]."""
+    """R requests: ``slot``, ``service``, ``ingress``, ``egress`` int64 [R], ``lifetime`` (s) float64 [R].
+
+    ``profile`` int64 [R] and ``own`` as in ``Workload``.
+    """
 
     slot: np.ndarray
     service: np.ndarray
     ingress: np.ndarray
     egress: np.ndarray
     lifetime: np.ndarray
+    profile: np.ndarray
+    own: Profiles | None = None
 
 
 def write_columns(path: str | os.PathLike[str], columns: Columns, catalogue: ServiceCatalogue) -> None:
     """Write a file with ``INDEX_HEADER``; services by name, lifetimes (s) with all their digits."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(INDEX_HEADER)
     names = [catalogue.names[service] for service in columns.service]
-    nodes = columns.ingress.tolist(), columns.egress.tolist()
-    writer.writerows(zip(columns.slot.tolist(), names, *nodes, columns.lifetime.tolist(), strict=True))
+    nodes = [[ANY if node == FREE else node for node in ends.tolist()] for ends in (columns.ingress, columns.egress)]
+    rows = [columns.slot.tolist(), names, *nodes, columns.lifetime.tolist()]
+    if columns.own is not None:
+        first = len(catalogue.types)
+        demands = [write_demand(columns.own, row, catalogue.resources) for row in range(len(columns.own))]
+        rows.append([demands[place - first] if place >= first else "" for place in columns.profile.tolist()])
+    writer.writerow(INDEX_HEADER if columns.own is None else (*INDEX_HEADER, DEMAND))
+    writer.writerows(zip(*rows, strict=True))
     write_atomically(path, text.getvalue())
 
 
@@ -105,6 +119,7 @@ class _RowParser:
     ) -> None:
         self.header = header
         self.services = {name: index for index, name in enumerate(catalogue.names)}
+        self.catalogue = catalogue
         self.substrate = substrate
         self.horizon = horizon
         by_index = numbers_are_indices or "ingress_index" in header
@@ -113,13 +128,17 @@ class _RowParser:
         # Compact: as tuples of Python numbers, ten million requests would take gigabytes.
         self.slot, self.service, self.ingress, self.egress = (array("q") for _ in range(4))
         self.lifetime = array("d")
+        self.profile = array("q")
+        self.demands: dict[tuple[int, str], int] = {}  # profile by service and text: requests that are alike share it
+        self.own: list[Demand] = []
 
     def columns(self) -> Columns:
         """All rows so far."""
-        slot, service, ingress, egress = (
-            np.array(column, np.int64) for column in (self.slot, self.service, self.ingress, self.egress)
+        slot, service, ingress, egress, profile = (
+            np.array(column, np.int64) for column in (self.slot, self.service, self.ingress, self.egress, self.profile)
         )
-        return Columns(slot, service, ingress, egress, np.array(self.lifetime, np.float64))
+        own = to_profiles(self.own, self.catalogue.resources) if self.own else None
+        return Columns(slot, service, ingress, egress, np.array(self.lifetime, np.float64), profile, own)
 
     def add(self, row: list[str], where: str) -> None:
         """Take in one row; ``where`` names it in errors."""
@@ -135,14 +154,29 @@ class _RowParser:
                 f"{where}: unknown service {shown(fields['service'])}; define it under services or use one of {known}"
             )
         ingress, egress = (self._node(fields[end], f"{where}: {end}") for end in ("ingress", "egress"))
-        if ingress == egress:
-            both = shown(fields["ingress"])
-            raise ScenarioError(f"{where}: ingress and egress are both {both}; they must differ")
+        service = self.services[fields["service"]]
+        profile, functions = self._profile(service, fields.get(DEMAND, ""), where)
+        if functions == 0 and (ingress == egress or FREE in (ingress, egress)):
+            raise ScenarioError(
+                f"{where}: has no functions and no two different end nodes, so it asks for nothing; correct its "
+                "ingress or egress"
+            )
+        self.profile.append(profile)
         self.lifetime.append(_lifetime(fields["lifetime"], where))
         self.slot.append(slot)
-        self.service.append(self.services[fields["service"]])
+        self.service.append(service)
         self.ingress.append(ingress)
         self.egress.append(egress)
+
+    def _profile(self, service: int, text: str, where: str) -> tuple[int, int]:
+        """Number and functions of the profile of a row whose ``demand`` is ``text``."""
+        if not text:
+            return service, len(self.catalogue.types[service].chain)
+        if (service, text) not in self.demands:
+            self.demands[service, text] = len(self.own)
+            self.own.append(parse_demand(text, service, self.catalogue.resources, where))
+        place = self.demands[service, text]
+        return len(self.catalogue.types) + place, len(self.own[place].amounts)
 
     def _slot(self, text: str, where: str) -> int:
         if not WHOLE.fullmatch(text):
@@ -157,6 +191,8 @@ class _RowParser:
         return slot
 
     def _node(self, text: str, where: str) -> int:
+        if text == ANY:
+            return FREE
         if text not in self.nodes:
             if len(text) > LONGEST_FIELD:
                 raise ScenarioError(f"{where}: {shown(text)} is no node; use an id or label of the network's file")
@@ -196,7 +232,7 @@ def _header_problem(names: list[str]) -> str | None:
     missing = _missing(HEADER, names)
     if missing and _missing(INDEX_HEADER, names):
         return f"{missing[0]!r} is missing: add it"
-    if len(names) > len(HEADER):
+    if len(names) > len(HEADER) + (DEMAND in names):
         return "nodes are named by ingress and egress or by ingress_index and egress_index, not by both"
     return None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
@@ -9,8 +11,10 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.config import Range, SubstrateConfig
+from nfv_torchrl.scenario.kinds import Resource
 from nfv_torchrl.scenario.limits import MAX_VMS
 from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 from nfv_torchrl.settings.values import refuse
 
@@ -78,6 +82,9 @@ class VmDraw(NamedTuple):
     vm_count: np.ndarray
     vm_capacity: np.ndarray
     vm_unit_cost: np.ndarray
+    resources: tuple[str, ...] = ("cpu",)
+    extra_capacity: np.ndarray | None = None
+    extra_unit_cost: np.ndarray | None = None
 
 
 class LinkDraw(NamedTuple):
@@ -91,18 +98,54 @@ class LinkDraw(NamedTuple):
 def draw_vms(nodes: int, seed: int, ranges: ResourceRanges, known_count: np.ndarray | None = None) -> VmDraw:
     """VMs of ``nodes`` nodes. The graph has no part in it: other links leave the VMs as they are.
 
-    ``known_count`` int64 [N] holds VM counts that are not to be drawn, 0 where they are; V grows to the largest.
+    ``known_count`` int64 [N] holds VM counts that are not to be drawn, -1 where they are; V grows to the largest.
     """
     rng = generator(seed, Stream.RESOURCES, 0)
     low, high = (int(bound) for bound in ranges.vms)
     count = rng.integers(low, high, size=nodes, endpoint=True)
     if known_count is not None:
-        count = np.where(known_count > 0, known_count, count)
+        count = np.where(known_count >= 0, known_count, count)
         high = max(high, int(known_count.max()))
     exists = np.arange(high) < count[:, None]
     capacity = rng.uniform(*ranges.vm_capacity, size=(nodes, high))
     unit_cost = rng.uniform(*ranges.vm_unit_cost, size=(nodes, high))
     return VmDraw(count, np.where(exists, capacity, 0.0), np.where(exists, unit_cost, 0.0))
+
+
+def draw_further_kinds(substrate: Substrate, kinds: Sequence[Resource], seed: int) -> Substrate:
+    """The substrate with VMs that also offer the ``kinds`` after the first, drawn where it lacks them.
+
+    Each kind has a generator of its own: one more leaves the others as they are.
+
+    Raises:
+        ScenarioError: the substrate has other kinds, or there is no interval to draw from.
+    """
+    names = tuple(kind.name for kind in kinds)
+    if substrate.resources == names:
+        return substrate
+    if len(substrate.resources) > 1 or substrate.resources[0] not in (names[0], "cpu"):
+        raise ScenarioError(
+            f"resources: the network {substrate.name!r} has {', '.join(substrate.resources)}, the scenario "
+            f"{', '.join(names)}; name the same kinds in the same order"
+        )
+    exists = np.arange(substrate.max_vms) < substrate.vm_count[:, None]
+    tables = []
+    for place, kind in enumerate(kinds[1:], start=2):
+        if kind.vm_capacity is None or kind.vm_unit_cost is None:
+            raise ScenarioError(
+                f"resources.{kind.name}: needs vm_capacity and vm_unit_cost, [low, high] each, to draw from: the "
+                "network does not say how much its VMs have"
+            )
+        rng = generator(seed, Stream.RESOURCES, place)
+        ranges = kind.vm_capacity, kind.vm_unit_cost
+        tables.append([np.where(exists, rng.uniform(*interval, size=exists.shape), 0.0) for interval in ranges])
+    further = np.array(tables).reshape(len(tables), 2, *exists.shape).transpose(1, 2, 3, 0)
+    return dataclasses.replace(
+        substrate,
+        resources=names,
+        extra_capacity=further[0] if tables else None,
+        extra_unit_cost=further[1] if tables else None,
+    )
 
 
 def draw_links(links: int, seed: int, ranges: ResourceRanges) -> LinkDraw:

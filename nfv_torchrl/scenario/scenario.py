@@ -28,6 +28,8 @@ from nfv_torchrl.scenario.limits import (
     workload_parts,
     would_take,
 )
+from nfv_torchrl.scenario.profiles import Profiles, join_profiles
+from nfv_torchrl.scenario.resources import draw_further_kinds
 from nfv_torchrl.scenario.services import ServiceCatalogue
 from nfv_torchrl.scenario.sources import build_substrate
 from nfv_torchrl.scenario.streams import Stream, generator
@@ -37,11 +39,12 @@ from nfv_torchrl.settings.values import parse, refuse, shown
 
 ENDPOINTS = ("catalogue", "uniform")
 MASKS = ("adjacency", "feasible")
+PLACEMENTS = ("walk", "colocate", "distinct")
 KINDS: dict[str, Any] = {
     **dict.fromkeys(("name", "endpoints", "mask"), str),
     **dict.fromkeys(("horizon", "warmup", "max_steps"), int),
     **dict.fromkeys(("colocation", "admission_control", "observe_lifetime"), bool),
-    "workload_path": str | None,
+    **dict.fromkeys(("workload_path", "placement"), str | None),
 }
 SHORTEST_MEAN, LONGEST_MEAN = 1e-6, 1e12
 """s; mean lifetimes beyond make sums of delays and loads lose digits or overflow."""
@@ -64,6 +67,8 @@ class Scenario:
         endpoints: ``catalogue``: a request takes one of its type's pairs; ``uniform``: it draws any two nodes.
         endpoint_pairs: (ingress, egress) of P pairs for each of K types, int64 [K, P, 2]; None when ``uniform``.
         colocation: a function may also go to a VM of the current node.
+        placement: ``distinct``: no two functions of a request may stand on one node; else None. ``walk`` and
+            ``colocate`` can be given instead of ``colocation`` and are kept there.
         mask: ``adjacency`` (the paper's) or ``feasible`` (also leaves out what a check would refuse).
         admission_control: the policy may always reject.
         observe_lifetime: policies and planners see a request's lifetime.
@@ -92,14 +97,17 @@ class Scenario:
     max_steps: int = ScenarioConfig.max_steps
     failures: FailureModel = field(default_factory=FailureModel)
     workload_path: str | None = None
+    placement: str | None = None
 
     def __post_init__(self) -> None:
         self._check_kinds()
+        self._check_placement()
         self._check_numbers()
         for key, known in (("endpoints", ENDPOINTS), ("mask", MASKS)):
             if getattr(self, key) not in known:
                 raise ScenarioError(f"{key}: {shown(getattr(self, key))} is unknown; use one of {list(known)}")
         self._check_pairs()
+        self._check_profiles()
         self._check_size()
 
     def _check_kinds(self) -> None:
@@ -136,6 +144,31 @@ class Scenario:
                 f"from {SHORTEST_MEAN:g} to {LONGEST_MEAN:g}"
             )
 
+    def _check_placement(self) -> None:
+        """``walk`` and ``colocate`` say what ``colocation`` says."""
+        if self.placement is None:
+            return
+        if self.placement not in PLACEMENTS:
+            raise ScenarioError(f"placement: {shown(self.placement)} is unknown; use one of {list(PLACEMENTS)}")
+        if self.colocation and self.placement != "colocate":
+            raise ScenarioError(f"placement: {self.placement} and colocation: true exclude each other; keep one")
+        object.__setattr__(self, "colocation", self.placement == "colocate")
+        object.__setattr__(self, "placement", "distinct" if self.placement == "distinct" else None)
+
+    def _check_profiles(self) -> None:
+        """The kinds of resources go together, and with failures everything that a request uses takes something."""
+        names = tuple(kind.name for kind in self.catalogue.resources)
+        if names != self.substrate.resources:
+            raise ScenarioError(
+                f"resources: the services ask for {', '.join(names)}, VMs of {self.substrate.name!r} offer "
+                f"{', '.join(self.substrate.resources)}; name the same kinds in the same order"
+            )
+        if not self.failures.off and self.catalogue.profiles.asks_for_nothing():
+            raise ScenarioError(
+                "failures: a function or segment takes nothing, so what has failed could serve it; give it an amount "
+                "or switch failures off"
+            )
+
     def _check_size(self) -> None:
         """Refuse what cannot be held: one environment, one workload, the tables."""
         requests = self.arrival_rate * self.horizon
@@ -153,19 +186,55 @@ class Scenario:
         from_file = vars(self).get("file_workload")
         requests = self.arrival_rate * self.horizon if from_file is None else len(from_file)
         # Twice the average requests that the VMs can carry: who rejects the large ones carries more of the small.
-        room = 2 * self.substrate.total_vm_capacity / self.catalogue.mean_load
+        load = self.catalogue.mean_load
+        room = 2 * self.substrate.total_vm_capacity / load if load > 0 and from_file is None else math.inf
         return Sizes(
             nodes=self.substrate.num_nodes,
             vms=self.substrate.max_vms,
-            links=self.substrate.num_links,
-            services=len(self.catalogue.types),
-            functions=int(self.catalogue.chain_length.max()),
+            links=self.substrate.num_links * (2 if self.substrate.full_duplex else 1),
+            services=len(self.catalogue.types) if from_file is None else len(self.profiles),
+            functions=int(self.profiles.amount.shape[1]) if from_file is not None else self._longest_chain,
             horizon=self.horizon,
             requests=requests,
             running=min(requests, requests * self.mean_lifetime / self.horizon, room),
             max_steps=self.max_steps,
             events=self.failures.expected_events(self.substrate, self.horizon),
+            kinds=len(self.substrate.resources),
+            rates=self._different_rates if from_file is None or from_file.own is None else len(from_file.own),
         )
+
+    @property
+    def _longest_chain(self) -> int:
+        return max(int(self.catalogue.chain_length.max()), 1)
+
+    @property
+    def _different_rates(self) -> int:
+        return len({rate for service in self.catalogue.types for rate in service.segment_rates})
+
+    @property
+    def placement_rule(self) -> str:
+        """``walk``, ``colocate`` or ``distinct``."""
+        return self.placement or ("colocate" if self.colocation else "walk")
+
+    @property
+    def free_ends(self) -> bool:
+        """Whether requests may leave it open where their first or last function stands."""
+        if self.workload_path is not None:
+            return self.file_workload.free_ends
+        return any(service.free_ends for service in self.catalogue.types)
+
+    @cached_property
+    def profiles(self) -> Profiles:
+        """What requests may ask for: the services of the catalogue, then the profiles of a workload file of its own."""
+        own = None if self.workload_path is None else self.file_workload.own
+        if own is None:
+            return self.catalogue.profiles
+        if not self.failures.off and own.asks_for_nothing():
+            raise ScenarioError(
+                f"{self.workload_path}: a function or segment takes nothing, so what has failed could serve it; give "
+                "it an amount or switch failures off"
+            )
+        return join_profiles([self.catalogue.profiles, own])
 
     def _check_pairs(self) -> None:
         if (self.endpoints == "catalogue") != (self.endpoint_pairs is not None):
@@ -191,8 +260,8 @@ class Scenario:
             ScenarioError: an unknown key or a wrong value, named with the remedy; or a file that cannot be used.
         """
         config = parse_config(config)
-        catalogue = ServiceCatalogue(types=tuple(config.services.values()), vnfs=config.vnfs)
-        substrate = build_substrate(config.substrate, config.seed)
+        catalogue = ServiceCatalogue(tuple(config.services.values()), config.vnfs, config.resources)
+        substrate = draw_further_kinds(build_substrate(config.substrate, config.seed), config.resources, config.seed)
         pairs = None
         if config.endpoints == "catalogue":
             pairs = draw_endpoint_pairs(len(catalogue.types), config.pairs_per_service, substrate, config.seed)
@@ -202,7 +271,7 @@ class Scenario:
             substrate=substrate, catalogue=catalogue, endpoint_pairs=pairs, workload_path=config.workload.path, **taken
         )
         if scenario.workload_path is not None:
-            _ = scenario.file_workload  # refuse a bad file now, not hours later
+            _ = scenario.profiles  # refuse a bad file now, not hours later
         return scenario._scaled_to(config.substrate.target_rho)
 
     def _scaled_to(self, target_rho: float | None) -> Scenario:
@@ -224,15 +293,24 @@ class Scenario:
 
         rho = lambda mu (1 - exp(-T / mu)) (mean over the mix of sum of d B) / (sum of psi): requests running at the end
         of a horizon that began empty, were all accepted, over the sum of VM capacities. With a workload file lambda, mu
-        and the mean load are those of its requests.
+        and the mean load are those of its requests. Of several kinds of resources, the scarcest counts.
         """
-        rate, lifetime, load = self.arrival_rate, self.mean_lifetime, self.catalogue.mean_load
+        rate, lifetime = self.arrival_rate, self.mean_lifetime
+        loads = self.catalogue.mix @ self.catalogue.load.sum(axis=1), *self._mean_extra_loads()
         if self.workload_path is not None:
             requests = self.file_workload
             rate, lifetime = len(requests) / self.horizon, float(requests.lifetime.mean())
-            load = float(self.catalogue.load.sum(axis=1)[requests.service].mean())
+            loads = tuple(
+                self.profiles.amount[:, :, kind].sum(axis=1)[requests.profile].mean() for kind in range(len(loads))
+            )
         running = rate * lifetime * -math.expm1(-self.horizon / lifetime)
-        return running * load / self.substrate.total_vm_capacity
+        extra = self.substrate.extra_capacity
+        installed = self.substrate.total_vm_capacity, *([] if extra is None else extra.sum(axis=(0, 1)).tolist())
+        return max(running * float(load) / there for load, there in zip(loads, installed, strict=True))
+
+    def _mean_extra_loads(self) -> list[float]:
+        """Load of a whole chain on each further kind, averaged over the mix."""
+        return (self.catalogue.mix @ self.catalogue.profiles.total[:, 1:]).tolist()
 
     @cached_property
     def file_workload(self) -> Workload:

@@ -10,7 +10,9 @@ from functools import cached_property
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.kinds import CPU, DELAY, Resource, check_kinds
 from nfv_torchrl.scenario.names import check_name
+from nfv_torchrl.scenario.profiles import Profiles
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 from nfv_torchrl.settings.values import parse
 
@@ -21,6 +23,10 @@ the paper's service table."""
 LARGEST = 1e30
 """Bound of delays and weights: beyond it sums and 32-bit numbers of observations overflow."""
 MOST_SERVICES = 1000
+ANY = "any"
+"""In place of an ingress or egress: it is free, the first or last function may stand on any node."""
+FREE = -1
+"""The node of an end that is free."""
 NOT_IN_TAGS = re.compile(r"[^-/\w.]")
 """Characters that TensorBoard's writer replaces by ``_``."""
 
@@ -31,10 +37,14 @@ class ServiceType:
 
     Attributes:
         name: what files and tables call it.
-        chain: VNF names in the order in which traffic passes them; at least one, repeats allowed.
+        chain: VNF names in the order in which traffic passes them, repeats allowed; none: requests are only routed.
         rate: data rate B, Mbit/s.
-        tolerable_delay: tau, ms.
+        tolerable_delay: tau, ms; None: any delay will do.
         weight: share of the mix, relative to the other types; 0 never arrives.
+        rates: data rate of each segment instead of one for all, F + 1 of them: from the ingress to the first function,
+            between functions, and from the last one to the egress.
+        ingress: ``any``: the first function may stand on any node, and the walk begins there.
+        egress: ``any``: the walk ends with the last function.
 
     Raises:
         ScenarioError: a value is out of range.
@@ -43,8 +53,11 @@ class ServiceType:
     name: str
     chain: tuple[str, ...]
     rate: float
-    tolerable_delay: float
+    tolerable_delay: float | None
     weight: float = 1.0
+    rates: tuple[float, ...] | None = field(default=None, repr=False)
+    ingress: str | None = field(default=None, repr=False)
+    egress: str | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         check_name(self.name, "services")
@@ -52,18 +65,49 @@ class ServiceType:
         if isinstance(self.chain, str):
             raise ScenarioError(f"{where}.chain: {self.chain!r} is text; give a list of VNF names")
         object.__setattr__(self, "chain", tuple(self.chain))
-        if not self.chain:
-            raise ScenarioError(f"{where}.chain: is empty; name at least one VNF")
         for vnf in self.chain:
             check_name(vnf, f"{where}.chain")
-        for key in ("rate", "tolerable_delay", "weight"):
+        for key in ("rate", "weight", *(() if self.tolerable_delay is None else ("tolerable_delay",))):
             parse(getattr(self, key), float, f"{where}.{key}")
         if not 1 / LEDGER_UNITS <= self.rate <= MAX_CAPACITY:
             raise ScenarioError(f"{where}.rate: {self.rate} Mbit/s; use a number from 1e-6 to 1e9")
-        if not 0 < self.tolerable_delay <= LARGEST:
+        if self.tolerable_delay is not None and not 0 < self.tolerable_delay <= LARGEST:
             raise ScenarioError(f"{where}.tolerable_delay: {self.tolerable_delay} ms; use a positive number up to 1e30")
         if not (self.weight == 0 or 1 / LARGEST <= self.weight <= LARGEST):
             raise ScenarioError(f"{where}.weight: {self.weight}; use 0 or a positive number from 1e-30 to 1e30")
+        self._check_rates(where)
+        self._check_ends(where)
+
+    def _check_rates(self, where: str) -> None:
+        if self.rates is None:
+            return
+        rates = parse(self.rates, tuple[float, ...], f"{where}.rates")
+        object.__setattr__(self, "rates", rates)
+        if len(rates) != len(self.chain) + 1:
+            raise ScenarioError(
+                f"{where}.rates: there are {len(rates)}; a chain of {len(self.chain)} has {len(self.chain) + 1} "
+                "segments: to its first function, between functions, and from its last one"
+            )
+        for rate in rates:
+            if rate != 0 and not 1 / LEDGER_UNITS <= rate <= MAX_CAPACITY:
+                raise ScenarioError(f"{where}.rates: {rate} Mbit/s; use 0 or a number from 1e-6 to 1e9")
+
+    def _check_ends(self, where: str) -> None:
+        for end in ("ingress", "egress"):
+            if getattr(self, end) not in (None, ANY):
+                raise ScenarioError(f"{where}.{end}: {getattr(self, end)!r}; use {ANY}, or leave it out")
+        if not self.chain and self.free_ends:
+            raise ScenarioError(f"{where}: has no chain, so its ends cannot be free; name a VNF or remove {ANY}")
+
+    @property
+    def free_ends(self) -> bool:
+        """Whether its ingress or egress is free."""
+        return self.ingress == ANY or self.egress == ANY
+
+    @property
+    def segment_rates(self) -> tuple[float, ...]:
+        """Data rate of each of its F + 1 segments, Mbit/s."""
+        return self.rates if self.rates is not None else (self.rate,) * (len(self.chain) + 1)
 
 
 @dataclass(frozen=True)
@@ -72,18 +116,22 @@ class ServiceCatalogue:
 
     Attributes:
         types: K service types with distinct names.
-        vnfs: processing requirement d of each VNF, cycles/bit.
+        vnfs: what each VNF requires: of the first kind (processing requirement d, cycles/bit), or a mapping from kinds
+            to requirements, with the VNF's own processing delay in ms under ``delay`` if it has one.
+        resources: kinds of resources that VMs offer; the first is what processing delays follow from.
 
     Raises:
-        ScenarioError: no type, two types of one name, weights that are all zero, an unknown VNF, or a requirement that
-            is not positive.
+        ScenarioError: no type, two types of one name, weights that are all zero, an unknown VNF or kind, or a
+            requirement that is not positive.
     """
 
     types: tuple[ServiceType, ...]
-    vnfs: Mapping[str, float] = field(default_factory=lambda: dict(PAPER_VNFS))
+    vnfs: Mapping[str, float | Mapping[str, float]] = field(default_factory=lambda: dict(PAPER_VNFS))
+    resources: tuple[Resource, ...] = CPU
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "types", tuple(self.types))
+        object.__setattr__(self, "resources", check_kinds(self.resources))
         if not 1 <= len(self.types) <= MOST_SERVICES:
             raise ScenarioError(
                 f"services: there are {len(self.types) or 'none'}; define 1 to {MOST_SERVICES} services"
@@ -105,22 +153,52 @@ class ServiceCatalogue:
     def _check_vnfs(self) -> None:
         for vnf, requirement in self.vnfs.items():
             check_name(vnf, "vnfs")
+            if isinstance(requirement, Mapping):
+                self._check_requirements(vnf, requirement)
+                continue
             parse(requirement, float, f"vnfs.{vnf}")
             if not requirement > 0:
                 raise ScenarioError(f"vnfs.{vnf}: {requirement} cycles/bit; use a positive number")
         for service in self.types:
-            for vnf in service.chain:
+            for vnf, rate in zip(service.chain, service.segment_rates, strict=False):
                 if vnf not in self.vnfs:
                     raise ScenarioError(
                         f"services.{service.name}.chain: unknown VNF {vnf!r}; define it under vnfs or use one of "
                         f"{sorted(self.vnfs)}"
                     )
-                load = self.vnfs[vnf] * service.rate
-                if not 1 / LEDGER_UNITS <= load <= MAX_CAPACITY:
-                    raise ScenarioError(
-                        f"services.{service.name}: VNF {vnf} needs {load} Mcycles/s (d times rate); "
-                        "change the rate or vnfs so that it lies from 1e-6 to 1e9"
-                    )
+                self._check_load(service, vnf, rate)
+
+    def _check_requirements(self, vnf: str, requirement: Mapping[str, float]) -> None:
+        known = [*(kind.name for kind in self.resources), DELAY]
+        for kind, value in requirement.items():
+            if kind not in known:
+                raise ScenarioError(f"vnfs.{vnf}.{kind}: unknown; use some of {known}, or define it under resources")
+            parse(value, float, f"vnfs.{vnf}.{kind}")
+            if not 0 <= value <= MAX_CAPACITY:
+                raise ScenarioError(f"vnfs.{vnf}.{kind}: {value}; use a number from 0 to 1e9")
+
+    def _check_load(self, service: ServiceType, vnf: str, rate: float) -> None:
+        for kind, load in zip(self.resources, self.amounts_of(vnf, rate), strict=True):
+            if load == 0 and (rate == 0 or isinstance(self.vnfs[vnf], Mapping) or kind is not self.resources[0]):
+                continue
+            if not 1 / LEDGER_UNITS <= load <= MAX_CAPACITY:
+                what = f"{load} Mcycles/s (d times rate)" if kind.name == "cpu" else f"{load} of {kind.name}"
+                raise ScenarioError(
+                    f"services.{service.name}: VNF {vnf} needs {what}; "
+                    "change the rate or vnfs so that it lies from 1e-6 to 1e9"
+                )
+
+    def amounts_of(self, vnf: str, rate: float) -> list[float]:
+        """What a VNF takes of each kind at ``rate`` Mbit/s, R numbers."""
+        requirement = self.vnfs[vnf]
+        if not isinstance(requirement, Mapping):
+            requirement = {self.resources[0].name: requirement}
+        return [requirement.get(kind.name, 0.0) * (rate if kind.scales_with_rate else 1.0) for kind in self.resources]
+
+    def own_delay(self, vnf: str) -> float | None:
+        """The processing delay that a VNF states, ms; None where it follows from its load and the VM."""
+        requirement = self.vnfs[vnf]
+        return requirement.get(DELAY) if isinstance(requirement, Mapping) else None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -133,22 +211,39 @@ class ServiceCatalogue:
         return np.array([len(service.chain) for service in self.types], np.int64)
 
     @cached_property
+    def profiles(self) -> Profiles:
+        """The K types as profiles, in order."""
+        functions = max(int(self.chain_length.max()), 1)
+        count = len(self.types)
+        amount = np.zeros((count, functions, len(self.resources)))
+        work, fixed_delay = np.zeros((count, functions)), np.zeros((count, functions))
+        rate = np.zeros((count, functions + 1))
+        for row, service in enumerate(self.types):
+            rate[row, : len(service.chain) + 1] = service.segment_rates
+            for place, vnf in enumerate(service.chain):
+                amount[row, place] = self.amounts_of(vnf, rate[row, place])
+                stated = self.own_delay(vnf)
+                if stated is not None:
+                    fixed_delay[row, place] = stated
+                elif self.resources[0].scales_with_rate:
+                    work[row, place] = amount[row, place, 0]
+        tolerable = [np.inf if each.tolerable_delay is None else each.tolerable_delay for each in self.types]
+        return Profiles(np.arange(count), self.chain_length, amount, work, fixed_delay, rate, np.array(tolerable))
+
+    @cached_property
     def load(self) -> np.ndarray:
-        """Processing load d * B of each function of each chain in Mcycles/s, float64 [K, F], 0 past a chain's end."""
-        table = np.zeros((len(self.types), int(self.chain_length.max())))
-        for row, service in zip(table, self.types, strict=True):
-            row[: len(service.chain)] = [self.vnfs[vnf] * service.rate for vnf in service.chain]
-        return table
+        """Load of each function of each chain on the first kind (d * B in Mcycles/s), float64 [K, F]."""
+        return self.profiles.amount[:, :, 0]
 
     @cached_property
     def rate(self) -> np.ndarray:
-        """Data rates B in Mbit/s, float64 [K]."""
-        return np.array([service.rate for service in self.types], np.float64)
+        """Data rates B in Mbit/s, float64 [K]; of the first segment where these differ."""
+        return self.profiles.rate[:, 0]
 
     @cached_property
     def tolerable_delay(self) -> np.ndarray:
-        """Tolerable delays tau in ms, float64 [K]."""
-        return np.array([service.tolerable_delay for service in self.types], np.float64)
+        """Tolerable delays tau in ms, float64 [K], infinite where any delay will do."""
+        return self.profiles.tolerable_delay
 
     @cached_property
     def mix(self) -> np.ndarray:
@@ -158,7 +253,7 @@ class ServiceCatalogue:
 
     @property
     def mean_load(self) -> float:
-        """Processing load of a whole chain, averaged over the mix, Mcycles/s."""
+        """Load of a whole chain on the first kind, averaged over the mix, Mcycles/s."""
         return float(self.mix @ self.load.sum(axis=1))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
@@ -28,12 +29,13 @@ def build_substrate(config: SubstrateConfig, seed: int) -> Substrate:
     if config.path is None and config.attributes:
         raise ScenarioError("substrate.attributes: names attributes of a file, but there is none; set substrate.path")
     if config.generator is not None:
-        return _call_generator(config.generator, seed)
+        return _with_duplex(_call_generator(config.generator, seed), config.duplex)
     names = [field.name for field in fields(ResourceRanges) if field.name != "vms"]
     ranges: dict[str, Any] = {"vms": (config.vms_min, config.vms_max)} | {name: getattr(config, name) for name in names}
     if config.path is None:
-        return draw_random_substrate(config.nodes, seed, mean_degree=config.mean_degree, **ranges)
-    return read_topology(
+        random = draw_random_substrate(config.nodes, seed, mean_degree=config.mean_degree, **ranges)
+        return _with_duplex(random, config.duplex)
+    substrate = read_topology(
         config.path,
         seed,
         fibre_km_per_ms=config.fibre_km_per_ms,
@@ -43,6 +45,19 @@ def build_substrate(config: SubstrateConfig, seed: int) -> Substrate:
         attributes=config.attributes,
         **ranges,
     )
+    return _with_duplex(substrate, config.duplex)
+
+
+def _with_duplex(substrate: Substrate, duplex: str | None) -> Substrate:
+    """The substrate with links as ``duplex`` has them, see ``SubstrateConfig``."""
+    if duplex == "shared" and substrate.full_duplex:
+        raise ScenarioError(
+            f"substrate.duplex: shared, but links of {substrate.name!r} have a back_capacity; leave it out, or remove "
+            "these from the file"
+        )
+    if duplex == "full" and not substrate.full_duplex:
+        return dataclasses.replace(substrate, back_capacity=substrate.link_capacity)
+    return substrate
 
 
 def _call_generator(config: Mapping[str, Any], seed: int) -> Substrate:

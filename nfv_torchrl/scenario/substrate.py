@@ -36,12 +36,13 @@ class Substrate:
     Attributes:
         name: what tables and files call it.
         labels: N distinct node names, for people.
-        vm_count: V_m, int64 [N], at least 1.
+        vm_count: V_m, int64 [N]; a node without VMs only forwards.
         vm_capacity: psi in Mcycles/s, float64 [N, V], 0 where node n has no VM v (v >= vm_count[n]). V may exceed the
             largest ``vm_count``: a generator uses its upper bound, so that sizes do not change from seed to seed.
         vm_unit_cost: w in $ per Mcycles/s, float64 [N, V], 0 where there is no VM.
-        links: ends u < v of each link, int64 [L, 2], sorted, no two alike. One capacity serves both directions.
-        link_capacity: x in Mbit/s, float64 [L].
+        links: ends u < v of each link, int64 [L, 2], sorted, no two alike. One capacity serves both directions, unless
+            there is a ``back_capacity``.
+        link_capacity: x in Mbit/s, float64 [L]; with ``back_capacity`` that from u to v.
         link_delay: propagation delay kappa in ms, float64 [L].
         link_unit_cost: w-hat in $ per Mbit/s, float64 [L].
         coordinates: latitude and longitude in degrees, float64 [N, 2], or None.
@@ -63,6 +64,10 @@ class Substrate:
     link_unit_cost: np.ndarray
     coordinates: np.ndarray | None = None
     ids: tuple[str, ...] = ()
+    resources: tuple[str, ...] = ("cpu",)
+    extra_capacity: np.ndarray | None = None
+    extra_unit_cost: np.ndarray | None = None
+    back_capacity: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         # Line breaks and rows of blanks, as drawings have them in labels, become single blanks.
@@ -76,6 +81,12 @@ class Substrate:
             self._set(field, np.array(getattr(self, field), np.float64))
         if self.coordinates is not None:
             self._set("coordinates", np.array(self.coordinates, np.float64))
+        self._set("resources", tuple(self.resources))
+        for field in ("extra_capacity", "back_capacity"):
+            if getattr(self, field) is not None:
+                self._set(field, quantise(getattr(self, field)))
+        if self.extra_unit_cost is not None:
+            self._set("extra_unit_cost", np.array(self.extra_unit_cost, np.float64))
         self.validate()
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
@@ -104,9 +115,25 @@ class Substrate:
         """Sum of psi over all VMs, Mcycles/s."""
         return float(self.vm_capacity.sum())
 
+    @property
+    def full_duplex(self) -> bool:
+        """Whether each direction of a link has a capacity of its own."""
+        return self.back_capacity is not None
+
+    @property
+    def capacity_by_kind(self) -> np.ndarray:
+        """What each VM offers of each kind, float64 [N, V, R], 0 where there is no VM."""
+        return _by_kind(self.vm_capacity, self.extra_capacity)
+
+    @property
+    def unit_cost_by_kind(self) -> np.ndarray:
+        """Unit costs of each VM, $ per unit of each kind, float64 [N, V, R]."""
+        return _by_kind(self.vm_unit_cost, self.extra_unit_cost)
+
     def scale_vm_capacity(self, factor: float) -> Substrate:
-        """The same network with every VM's capacity times ``factor``."""
-        return dataclasses.replace(self, vm_capacity=self.vm_capacity * factor)
+        """The same network with every VM's capacity, of every kind, times ``factor``."""
+        extra = None if self.extra_capacity is None else self.extra_capacity * factor
+        return dataclasses.replace(self, vm_capacity=self.vm_capacity * factor, extra_capacity=extra)
 
     # ---------------------------------------------------------------- names
 
@@ -128,6 +155,10 @@ class Substrate:
                 f"{self.ids[by_label]!r}; name that node by the other of its names"
             )
         return by_label if by_id is None else by_id  # type: ignore[return-value]  # one is an index
+
+    def end_label(self, node: int) -> str:
+        """The label of a request's ingress or egress, ``any`` where that is free (-1)."""
+        return "any" if node < 0 else self.labels[node]
 
     def _numbers(self) -> tuple[str, ...]:
         """The ids of nodes that no file named."""
@@ -191,22 +222,39 @@ class Substrate:
         }
         if self.coordinates is not None:
             expected["coordinates"] = (nodes, 2)
+        if self.back_capacity is not None:
+            expected["back_capacity"] = (links,)
+        kinds = len(self.resources)
+        if not kinds or len(set(self.resources)) < kinds:
+            raise self._error(f"resources are {shown(list(self.resources))}; give different names, at least one")
+        for field in ("extra_capacity", "extra_unit_cost"):
+            if (getattr(self, field) is not None) != (kinds > 1):
+                raise self._error(f"{field} is for the {kinds - 1} kinds of resources beside the first; see resources")
+            if kinds > 1:
+                expected[field] = (nodes, vms, kinds - 1)
         for field, shape in expected.items():
             actual = getattr(self, field).shape
             if actual != shape:
                 raise self._error(f"{field} has shape {list(actual)}; {list(shape)} was expected")
 
     def _check_vms(self) -> None:
-        if self.vm_count.min() < 1 or self.vm_count.max() > self.max_vms:
-            node = int(np.argmax((self.vm_count < 1) | (self.vm_count > self.max_vms)))
-            raise self._error(f"node {node} has {self.vm_count[node]} VMs; 1 to {self.max_vms} are possible")
+        if self.vm_count.min() < 0 or self.vm_count.max() > self.max_vms:
+            node = int(np.argmax((self.vm_count < 0) | (self.vm_count > self.max_vms)))
+            raise self._error(f"node {node} has {self.vm_count[node]} VMs; 0 to {self.max_vms} are possible")
+        if not self.vm_count.any():
+            raise self._error("has no VM on any node; give at least one node a VM")
         exists = np.arange(self.max_vms) < self.vm_count[:, None]
         for field, unit in (("vm_capacity", "Mcycles/s"), ("vm_unit_cost", "$ per Mcycles/s")):
-            values = getattr(self, field)
-            if np.any(values[~exists] != 0):
-                raise self._error(f"{field} must be 0 where a node has no VM")
-            for node, vm in np.argwhere(exists & ~_usable(values)):
-                raise self._error(_out_of_range(f"VM {vm} of node {node}", field, values[node, vm], unit))
+            self._check_vm_table(field, getattr(self, field), exists, unit)
+        for kind, name in enumerate(self.resources[1:]):
+            for field in ("extra_capacity", "extra_unit_cost"):
+                self._check_vm_table(field, getattr(self, field)[:, :, kind], exists, f"of {name}")
+
+    def _check_vm_table(self, field: str, values: np.ndarray, exists: np.ndarray, unit: str) -> None:
+        if np.any(values[~exists] != 0):
+            raise self._error(f"{field} must be 0 where a node has no VM")
+        for node, vm in np.argwhere(exists & ~_usable(values)):
+            raise self._error(_out_of_range(f"VM {vm} of node {node}", field, values[node, vm], unit))
 
     def _check_links(self) -> None:
         ends = self.links
@@ -217,7 +265,8 @@ class Substrate:
         order = ends[:, 0] * self.num_nodes + ends[:, 1]
         if np.any(np.diff(order) <= 0):
             raise self._error("links must be sorted and distinct; merge_links does both")
-        for field, unit in (("link_capacity", "Mbit/s"), ("link_unit_cost", "$ per Mbit/s")):
+        numbers = [("link_capacity", "Mbit/s"), ("link_unit_cost", "$ per Mbit/s")]
+        for field, unit in [*numbers, ("back_capacity", "Mbit/s")] if self.full_duplex else numbers:
             values = getattr(self, field)
             for (link,) in np.argwhere(~_usable(values)):
                 raise self._error(_out_of_range(f"link {ends[link].tolist()}", field, values[link], unit))
@@ -239,14 +288,16 @@ class Substrate:
         """A graph of nodes 0 .. N-1, with all that the substrate holds as attributes.
 
         Node: ``label``, ``file_id`` where that is not the node's number, ``vms`` (list of ``capacity``, ``unit_cost``),
-        ``latitude`` and ``longitude`` if known. Link: ``capacity``, ``delay``, ``unit_cost``. Graph: ``name``,
-        ``max_vms`` (V, which the VMs alone do not tell).
+        ``latitude`` and ``longitude`` if known. Link: ``capacity``, ``delay``, ``unit_cost``, with full duplex
+        ``back_capacity``, from the greater node to the smaller. Graph: ``name``, ``max_vms`` (V, which the VMs alone do
+        not tell), and ``resources`` where there is another kind than cpu: capacity and unit cost of a VM are then
+        mappings from kinds to numbers.
         """
         graph = nx.Graph(name=self.name, max_vms=self.max_vms)
+        if self.resources != ("cpu",):
+            graph.graph["resources"] = list(self.resources)
         for node, label in enumerate(self.labels):
-            count = int(self.vm_count[node])
-            pairs = zip(self.vm_capacity[node, :count].tolist(), self.vm_unit_cost[node, :count].tolist(), strict=True)
-            graph.add_node(node, label=label, vms=[{"capacity": psi, "unit_cost": w} for psi, w in pairs])
+            graph.add_node(node, label=label, vms=self._vms_of_node(node))
             if self.ids[node] != str(node):
                 graph.nodes[node]["file_id"] = self.ids[node]
             if self.coordinates is not None:
@@ -260,7 +311,24 @@ class Substrate:
                 delay=float(self.link_delay[link]),
                 unit_cost=float(self.link_unit_cost[link]),
             )
+            if self.back_capacity is not None:
+                graph.edges[u, v]["back_capacity"] = float(self.back_capacity[link])
         return graph
+
+    def _vms_of_node(self, node: int) -> list[dict[str, Any]]:
+        """The VMs of a node, for JSON."""
+        count = int(self.vm_count[node])
+        capacity, unit_cost = self.capacity_by_kind[node, :count], self.unit_cost_by_kind[node, :count]
+        if self.resources == ("cpu",):
+            pairs = zip(capacity[:, 0].tolist(), unit_cost[:, 0].tolist(), strict=True)
+            return [{"capacity": psi, "unit_cost": w} for psi, w in pairs]
+        return [
+            {
+                "capacity": dict(zip(self.resources, psi, strict=True)),
+                "unit_cost": dict(zip(self.resources, w, strict=True)),
+            }
+            for psi, w in zip(capacity.tolist(), unit_cost.tolist(), strict=True)
+        ]
 
     @classmethod
     def from_networkx(cls, graph: nx.Graph, source: str = "graph") -> Substrate:
@@ -278,18 +346,26 @@ class Substrate:
         if set(nodes) == set(range(len(nodes))):
             nodes.sort()
         index = {node: place for place, node in enumerate(nodes)}
-        vms = [vms_of(graph.nodes[node], f"{source}: node {node!r}") for node in nodes]
+        kinds = kinds_of(graph.graph, source)
+        vms = [vms_of(graph.nodes[node], f"{source}: node {node!r}", kinds) for node in nodes]
         edges = [(u, v, _link_of(data, f"{source}: link {u!r} - {v!r}")) for u, v, data in graph.edges(data=True)]
         numbers = np.array([numbers for _, _, numbers in edges], np.float64).reshape(-1, 3)
         ends = np.array([(index[u], index[v]) for u, v, _ in edges], np.int64).reshape(-1, 2)
         links = merge_links(Links(ends, *numbers.T), source)
-        count, capacity, unit_cost = _pad_vms(vms, graph.graph.get("max_vms"), source)
+        count, capacity, unit_cost = _pad_vms(vms, graph.graph.get("max_vms"), source, len(kinds))
+        back = back_capacities(
+            [(index[u], index[v], data) for u, v, data in graph.edges(data=True)], links.ends, source
+        )
         return cls(
             name=str(graph.graph.get("name") or source),
             labels=tuple(label_of(graph.nodes[node], node) for node in nodes),
             vm_count=count,
-            vm_capacity=capacity,
-            vm_unit_cost=unit_cost,
+            vm_capacity=capacity[:, :, 0],
+            vm_unit_cost=unit_cost[:, :, 0],
+            resources=kinds,
+            extra_capacity=capacity[:, :, 1:] if len(kinds) > 1 else None,
+            extra_unit_cost=unit_cost[:, :, 1:] if len(kinds) > 1 else None,
+            back_capacity=back,
             links=links.ends,
             link_capacity=links.capacity,
             link_delay=links.delay,
@@ -354,23 +430,62 @@ def _number(data: Any, key: str, where: str) -> float:
         raise ScenarioError(f"{where}: {key!r} is {shown(value)}; use a number of at most {MAX_CAPACITY:g}") from None
 
 
-def vms_of(data: dict[str, Any], where: str) -> list[tuple[float, float]]:
-    """Capacity and unit cost of each entry of a node's ``vms``; ``where`` names the node."""
+def vms_of(
+    data: dict[str, Any], where: str, kinds: tuple[str, ...] = ("cpu",)
+) -> list[tuple[list[float], list[float]]]:
+    """Capacities and unit costs of each entry of a node's ``vms``, R numbers each; ``where`` names the node.
+
+    With one kind a number will do; with several both are mappings from kinds to numbers.
+    """
     vms = data.get("vms")
-    if not isinstance(vms, list) or not vms:
-        raise ScenarioError(f"{where}: needs 'vms', a list of at least one {{capacity, unit_cost}}")
+    if not isinstance(vms, list):
+        raise ScenarioError(f"{where}: needs 'vms', a list of {{capacity, unit_cost}}; [] where it only forwards")
     return [
-        (_amount(vm, "capacity", f"{where}, VM {v}"), _amount(vm, "unit_cost", f"{where}, VM {v}"))
+        (_amounts(vm, "capacity", f"{where}, VM {v}", kinds), _amounts(vm, "unit_cost", f"{where}, VM {v}", kinds))
         for v, vm in enumerate(vms)
     ]
+
+
+def _amounts(vm: Any, key: str, where: str, kinds: tuple[str, ...]) -> list[float]:
+    """Capacities or unit costs of a VM, one of each kind."""
+    value = vm.get(key) if isinstance(vm, dict) else None
+    if not isinstance(value, dict):
+        if len(kinds) > 1:
+            raise ScenarioError(f"{where}: {key!r} is {shown(value)}; give a number for each of {', '.join(kinds)}")
+        return [_amount(vm, key, where)]
+    if set(value) != set(kinds):
+        raise ScenarioError(f"{where}: {key!r} has {', '.join(map(str, value))}; give {', '.join(kinds)}, no others")
+    return [_amount(value, kind, f"{where}, {key}") for kind in kinds]
 
 
 def _amount(vm: Any, key: str, where: str) -> float:
     """A capacity or unit cost of a VM."""
     value = _number(vm, key, where)
     if not _usable(value):
-        raise ScenarioError(_out_of_range(where, key, value, "Mcycles/s" if key == "capacity" else "$ per Mcycles/s"))
+        unit = {"capacity": "Mcycles/s", "unit_cost": "$ per Mcycles/s"}.get(key, "")
+        raise ScenarioError(_out_of_range(where, key, value, unit))
     return value
+
+
+def kinds_of(graph: dict[str, Any], source: str) -> tuple[str, ...]:
+    """The graph's ``resources``; the paper's where there are none."""
+    kinds = graph.get("resources", ["cpu"])
+    if not (isinstance(kinds, list) and kinds and all(isinstance(kind, str) for kind in kinds)):
+        raise ScenarioError(f"{source}: 'resources' is {shown(kinds)}; give a list of names of kinds")
+    return tuple(kinds)
+
+
+def back_capacities(edges: list[tuple[int, int, dict[str, Any]]], ends: np.ndarray, source: str) -> np.ndarray | None:
+    """Capacity from the greater to the smaller node of each link, float64 [L]; None if no link has one of its own."""
+    there = [data for _, _, data in edges if "back_capacity" in data]
+    if not there:
+        return None
+    if len(there) < len(edges) or len(edges) != len(ends):
+        raise ScenarioError(
+            f"{source}: some links have a 'back_capacity', others not, or links are parallel; correct it"
+        )
+    back = {(min(u, v), max(u, v)): _number(data, "back_capacity", f"{source}: link {u} - {v}") for u, v, data in edges}
+    return np.array([back[u, v] for u, v in ends.tolist()])
 
 
 def _link_of(data: dict[str, Any], where: str) -> tuple[float, float, float]:
@@ -385,19 +500,27 @@ def check_vm_slots(slots: int, source: str) -> None:
         )
 
 
-def _pad_vms(vms: list[list[tuple[float, float]]], max_vms: Any, source: str) -> tuple[np.ndarray, ...]:
-    """VM counts int64 [N], capacities and unit costs float64 [N, V] with V = ``max_vms`` or the largest count."""
+def _pad_vms(
+    vms: list[list[tuple[list[float], list[float]]]], max_vms: Any, source: str, kinds: int
+) -> tuple[np.ndarray, ...]:
+    """VM counts int64 [N], capacities and unit costs float64 [N, V, R] with V = ``max_vms`` or the largest count."""
     largest = max((len(node) for node in vms), default=1)
-    width = largest if max_vms is None else max_vms
+    width = max(largest, 1) if max_vms is None else max_vms
     if isinstance(width, bool) or not isinstance(width, int) or width < largest:
         raise ScenarioError(
             f"{source}: 'max_vms' is {shown(max_vms)}, but a node has {largest} VMs; raise or remove it"
         )
     check_vm_slots(width, source)
-    table = np.zeros((2, len(vms), width))
+    table = np.zeros((2, len(vms), width, kinds))
     for node, pairs in enumerate(vms):
-        table[:, node, : len(pairs)] = np.array(pairs).T
+        if pairs:
+            table[:, node, : len(pairs)] = np.array(pairs).transpose(1, 0, 2)
     return np.array([len(pairs) for pairs in vms], np.int64), table[0], table[1]
+
+
+def _by_kind(first: np.ndarray, further: np.ndarray | None) -> np.ndarray:
+    """Tables of the first kind [N, V] and of the further ones [N, V, R - 1] as one, [N, V, R]."""
+    return first[:, :, None] if further is None else np.concatenate([first[:, :, None], further], axis=2)
 
 
 def _coordinates_of(nodes: list[dict[str, Any]], source: str) -> np.ndarray | None:

@@ -24,7 +24,7 @@ from nfv_torchrl.scenario.graph_files import SUFFIXES, read_graph_file
 from nfv_torchrl.scenario.links import DIRECTED, Links, has_way_back, merge_links, pair_arcs
 from nfv_torchrl.scenario.quantities import parse_mapping
 from nfv_torchrl.scenario.resources import ResourceRanges, draw_links
-from nfv_torchrl.scenario.substrate import Substrate, label_of
+from nfv_torchrl.scenario.substrate import Substrate, back_capacities, label_of
 
 TOPOLOGIES = Path(__file__).parent / "topologies"
 LEAST_DELAY = 0.01
@@ -94,6 +94,10 @@ def read_topology(
     coordinates = _coordinates(graph, numbers, kept, labels)
     links = _links(graph, coordinates, drawn_from, seed, km_per_ms=fibre_km_per_ms / detour, source=file.source)
     vms = file_vms(numbers, kept, drawn_from, seed)
+    node_of = {place: node for node, place in enumerate(kept)}
+    arcs = [(node_of[u], node_of[v], data) for (u, v), data in zip(file.ends, file.links, strict=True) if u in node_of]
+    back = None if file.directed else back_capacities(arcs, links.ends, file.source)
+    numbers.used["link"].update([] if back is None else ["back_capacity"])
     numbers.warn({"delay": DRAWN if coordinates is None else "from the coordinates of its ends"})
     return Substrate(
         name=_name(file, path),
@@ -104,6 +108,7 @@ def read_topology(
         link_delay=links.delay,
         link_unit_cost=links.unit_cost,
         coordinates=coordinates,
+        back_capacity=back,
         ids=tuple(str(file.ids[place]) for place in kept),
     )
 

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.profiles import Profiles
 from nfv_torchrl.scenario.request_file import Columns, read_columns, write_columns
+from nfv_torchrl.scenario.services import ANY, FREE, ServiceCatalogue
 
 if TYPE_CHECKING:
     from nfv_torchrl.scenario.scenario import Scenario
-    from nfv_torchrl.scenario.services import ServiceCatalogue
     from nfv_torchrl.scenario.substrate import Substrate
 
 LONGEST_STAY = 2**40
@@ -27,9 +28,12 @@ class Workload:
     Attributes:
         slot: arrival slot, int64 [R], never decreasing.
         service: index of the service type in the catalogue, int64 [R].
-        ingress: node, int64 [R].
-        egress: node other than the ingress, int64 [R].
+        ingress: node, int64 [R]; -1: free, the first function may stand on any node.
+        egress: node, int64 [R]; -1: free, the walk ends with the last function.
         lifetime: s, float64 [R], positive.
+        profile: what each asks for, int64 [R]: below K that of a service, from K on one of ``own``; by default the
+            service's.
+        own: profiles that requests of a file bring, or None.
     """
 
     slot: np.ndarray
@@ -37,9 +41,13 @@ class Workload:
     ingress: np.ndarray
     egress: np.ndarray
     lifetime: np.ndarray
+    profile: np.ndarray = None  # type: ignore[assignment]
+    own: Profiles | None = None
 
     def __post_init__(self) -> None:
-        for name in Columns._fields:
+        if self.profile is None:
+            object.__setattr__(self, "profile", self.service)
+        for name in (*Columns._fields[:5], "profile"):
             kind = np.float64 if name == "lifetime" else np.int64
             column = np.asarray(getattr(self, name))
             if column.shape != (len(self.slot),) or (len(column) and not np.can_cast(column.dtype, kind, "same_kind")):
@@ -49,10 +57,31 @@ class Workload:
             return
         if self.slot[0] < 0 or np.any(np.diff(self.slot) < 0):
             raise ScenarioError("workload: slots must be 0 or more and never decrease; sort the requests by slot")
-        if min(self.service.min(), self.ingress.min(), self.egress.min()) < 0 or np.any(self.ingress == self.egress):
-            raise ScenarioError("workload: service, ingress and egress are indices from 0; ingress and egress differ")
+        if min(self.service.min(), self.profile.min()) < 0 or min(self.ingress.min(), self.egress.min()) < FREE:
+            raise ScenarioError("workload: service, ingress and egress are indices from 0; a free end is -1")
         if not (self.lifetime.min() > 0 and np.isfinite(self.lifetime.max())):
             raise ScenarioError("workload: a lifetime is not a positive, finite number of seconds; correct it")
+
+    @property
+    def free_ends(self) -> bool:
+        """Whether the ingress or egress of some request is free."""
+        return bool((self.ingress == FREE).any() or (self.egress == FREE).any())
+
+    def check_profiles(self, profiles: Profiles) -> None:
+        """Refuse requests whose profile is not among ``profiles``, or that leave nothing to decide.
+
+        Raises:
+            ScenarioError: as said.
+        """
+        if not len(self):
+            return
+        if self.profile.max() >= len(profiles) or not np.array_equal(profiles.service[self.profile], self.service):
+            raise ScenarioError("workload: a profile is not one of this scenario's, or is of another service")
+        routed = profiles.chain_length[self.profile] == 0
+        if np.any(routed & ((self.ingress == self.egress) | (self.ingress == FREE) | (self.egress == FREE))):
+            raise ScenarioError(
+                "workload: a request without functions has no two different end nodes, so it asks for nothing"
+            )
 
     def check_fits(self, services: int, nodes: int, horizon: int) -> None:
         """Refuse requests that a world of these sizes does not know.
@@ -96,6 +125,10 @@ class Workload:
         cumulative = np.cumsum([service.weight for service in scenario.catalogue.types])
         service = np.searchsorted(cumulative / cumulative[-1], service_rng.random(len(slot)), side="right")
         ingress, egress = _draw_endpoints(scenario, service, endpoint_rng)
+        for kind, each in enumerate(scenario.catalogue.types):
+            for end, nodes in ((each.ingress, ingress), (each.egress, egress)):
+                if end == ANY:
+                    nodes[service == kind] = FREE
         lifetime = scenario.mean_lifetime * lifetime_rng.standard_exponential(len(slot))
         # An exponential may round to 0, which is no lifetime.
         lifetime = np.maximum(lifetime, np.finfo(np.float64).tiny)

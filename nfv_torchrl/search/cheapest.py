@@ -17,12 +17,13 @@ from nfv_torchrl.search.labels import (
     make_labels,
     search_labels,
 )
-from nfv_torchrl.search.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go
+from nfv_torchrl.search.togo import ToGo, best_start, fill_cost_to_go, fill_delay_to_go, make_to_go
 from nfv_torchrl.search.walks import (
     OVERFLOW,
     PlannedWalk,
     Prices,
     encode_walk,
+    ends_at,
     make_problem,
     make_walk,
     unit_costs,
@@ -33,6 +34,8 @@ from nfv_torchrl.simulator.tables import Tables
 
 POOL = 4096
 COLUMNS = 8
+ROUNDS_OF_SOME = 3
+"""Label searches in which functions must not meet on some nodes, before they must not on any."""
 
 
 class Scratch(NamedTuple):
@@ -43,7 +46,7 @@ class Scratch(NamedTuple):
     labels: Labels
     critical: Critical
     walk: PlannedWalk
-    vm_price: np.ndarray  # float64 [N, V], for callers that compute prices
+    vm_price: np.ndarray  # float64 [N, V, R], for callers that compute prices
     link_price: np.ndarray  # float64 [L]
     result: np.ndarray  # float64 [3]: priced cost ($), true cost ($), delay (ms) of the last plan; inf if none
     rounds: np.ndarray  # int64 [4]: requests that needed no, one, two, more label searches
@@ -57,17 +60,17 @@ def make_scratch(tables: Tables, pool: int = POOL, columns: int = COLUMNS) -> Sc
         pool: labels that a search may hold.
         columns: critical resources that a search may track.
     """
-    _, nodes, vms = tables.vm_capacity.shape
+    _, nodes, vms, kinds = tables.vm_capacity.shape
     links = tables.link_capacity.shape[1]
     functions = tables.load.shape[1]
     return Scratch(
         cost=make_to_go(nodes, links, functions),
         delay=make_to_go(nodes, links, functions),
         labels=make_labels(nodes, functions, max(pool, 2 * vms + 2), columns),
-        critical=make_critical(nodes, vms, links, functions, columns),
+        critical=make_critical((nodes, vms, kinds), links, functions, columns),
         # A walk that repeats no node between two placements is no longer than this.
         walk=make_walk((functions + 1) * (nodes + 1) + functions),
-        vm_price=np.zeros((nodes, vms)),
+        vm_price=np.zeros((nodes, vms, kinds)),
         link_price=np.zeros(links),
         result=np.full(3, np.inf),
         rounds=np.zeros(4, np.int64),
@@ -120,9 +123,10 @@ def _cheapest_walk(problem, scratch):
     critical = scratch.critical
     begin_request(problem, critical)
     fill_cost_to_go(problem, scratch.cost)
-    if scratch.cost.value[0, problem.ingress] == np.inf:
+    start = problem.ingress if problem.ingress >= 0 else best_start(problem, scratch.cost)
+    if start < 0 or (problem.ingress >= 0 and scratch.cost.value[0, start] == np.inf):
         return 0
-    steps = _follow(problem, scratch.cost, scratch.walk)
+    steps = _follow(problem, scratch.cost, scratch.walk, start)
     prices = Prices(problem.vm_price, problem.link_price)
     in_time = walk_totals(problem, prices, scratch.walk, steps)[1] <= problem.budget
     outcome = _track(problem, scratch, steps)
@@ -145,6 +149,8 @@ def _cheapest_walk(problem, scratch):
         if outcome == 0:
             scratch.rounds[min(searches, 3)] += 1
             return steps
+        if problem.distinct and searches >= ROUNDS_OF_SOME:
+            critical.nodes[:] = ~np.uint64(0)
 
 
 @part
@@ -158,12 +164,16 @@ def _track(problem, scratch, steps):
 
 
 @part
-def _follow(problem, to_go, walk):
-    """The walk that the bounds describe."""
-    node = problem.ingress
+def _follow(problem, to_go, walk, start):
+    """The walk that the bounds describe; ``start``: the ingress, or where the first function goes if that is free."""
+    node = start
     i = 0
     steps = 0
-    while node != problem.egress or i < problem.functions:
+    if problem.ingress < 0:
+        walk.node[0], walk.link[0], walk.vm[0] = node, -1, to_go.place_vm[0, node]
+        i = 1
+        steps = 1
+    while i < problem.functions or not ends_at(problem, node):
         after = to_go.node[i, node]
         walk.node[steps] = after
         walk.link[steps] = to_go.link[i, node]

@@ -2,7 +2,8 @@
 
 A label is a walk from the ingress. One label dominates another at the same node and function when it is no worse in
 cost and delay and leaves at least as much of every *critical* resource, one that an earlier round of the search was
-found to have used beyond what is offered. With no critical resource that is the usual shortest path problem with a
+found to have used beyond what is offered. Where functions may not share a node, nodes are such resources. With no
+critical resource that is the usual shortest path problem with a
 resource constraint; adding resources only where they were overused keeps the search small and exact (decremental state
 space relaxation, Righini and Salani 2008).
 """
@@ -13,24 +14,40 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.codec import count_vms, link_resource, split_vm, vm_resource
-from nfv_torchrl.search.walks import OVERFLOW, Problem
+from nfv_torchrl.codec import count_vms, split_vm, vm_resource
+from nfv_torchrl.search.walks import (
+    OVERFLOW,
+    Problem,
+    ends_at,
+    hop_cost,
+    hop_delay,
+    link_fits,
+    may_leave,
+    may_stay,
+    place_cost,
+    place_delay,
+    vm_fits,
+)
 from nfv_torchrl.simulator.compiled import inlined, part
-from nfv_torchrl.simulator.steps import fits, link_cost, vm_cost, vm_delay
+from nfv_torchrl.simulator.steps import fits
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
 FOUND = 1
 NONE = 0
+DEEPER_FIRST = 1e-12
+"""Share of its bound by which a label goes earlier for every function that it has placed, with ``distinct``."""
 
 
 class Critical(NamedTuple):
-    """Resources whose use within one walk is tracked, numbered as in ``nfv_torchrl.codec``."""
+    """Resources whose use within one walk is tracked: kind r of VM v is number v R + r, link l is number N V R + l."""
 
     tracked: np.ndarray  # int64 [2]: how many resources; 1 if the number of steps is tracked too
     resource: np.ndarray  # int64 [C]
-    column: np.ndarray  # int64 [N * V + L], place among the critical ones, -1: not critical
-    used: np.ndarray  # int64 [N * V + L], scratch, all zero between uses
-    tail: np.ndarray  # int64 [F + 1], ledger units that the functions from i on take together
+    column: np.ndarray  # int64 [N * V * R + L], place among the critical ones, -1: not critical
+    used: np.ndarray  # int64 [N * V * R + L], scratch, all zero between uses
+    tail: np.ndarray  # int64 [F + 1, R], ledger units that the functions from i on take together
+    link_tail: np.ndarray  # int64 [F + 1], most that a link can be asked for once i functions are placed
+    nodes: np.ndarray  # uint64 [W], one bit a node: those where functions of a request must not meet
 
 
 class Labels(NamedTuple):
@@ -47,22 +64,29 @@ class Labels(NamedTuple):
     following: np.ndarray  # int64 [P], next label of the same list
     alive: np.ndarray  # bool [P]
     usage: np.ndarray  # int64 [P, C], ledger units taken of the critical resources
+    nodes: np.ndarray  # uint64 [P, W], one bit a node: those with a function; kept with ``distinct`` only
     first: np.ndarray  # int64 [F + 1, N], head of a list, -1: empty
     heap_key: np.ndarray  # float64 [P]
     heap_label: np.ndarray  # int64 [P]
     size: np.ndarray  # int64 [2]: labels in the pool, labels in the heap
 
 
-def make_critical(nodes: int, vms: int, links: int, functions: int, columns: int) -> Critical:
-    """Scratch for at most ``columns`` critical resources."""
-    resources = count_vms(nodes, vms) + links
+def make_critical(shape: tuple[int, int, int], links: int, functions: int, columns: int) -> Critical:
+    """Scratch for at most ``columns`` critical resources; ``shape``: nodes, VMs of each, kinds."""
+    resources = shape[0] * shape[1] * shape[2] + links
     return Critical(
         tracked=np.zeros(2, np.int64),
         resource=np.zeros(columns, np.int64),
         column=np.full(resources, -1),
         used=np.zeros(resources, np.int64),
-        tail=np.zeros(functions + 1, np.int64),
+        tail=np.zeros((functions + 1, shape[2]), np.int64),
+        link_tail=np.zeros(functions + 1, np.int64),
+        nodes=np.zeros(_words(shape[0]), np.uint64),
     )
+
+
+def _words(nodes: int) -> int:
+    return (nodes + 63) // 64
 
 
 class Search(NamedTuple):
@@ -89,6 +113,7 @@ def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
         following=np.zeros(pool, np.int64),
         alive=np.zeros(pool, np.bool_),
         usage=np.zeros((pool, columns), np.int64),
+        nodes=np.zeros((pool, _words(nodes)), np.uint64),
         first=np.zeros((functions + 1, nodes), np.int64),
         heap_key=np.zeros(pool),
         heap_label=np.zeros(pool, np.int64),
@@ -102,20 +127,37 @@ def begin_request(problem, critical):
     for c in range(critical.tracked[0]):
         critical.column[critical.resource[c]] = -1
     critical.tracked[:] = 0
-    critical.tail[problem.functions] = 0
-    for i in range(problem.functions - 1, -1, -1):
-        critical.tail[i] = critical.tail[i + 1] + problem.load_units[i]
+    critical.nodes[:] = 0
+    last = problem.functions
+    critical.tail[last, :] = 0
+    critical.link_tail[last] = problem.rate_units[last]
+    for i in range(last - 1, -1, -1):
+        for kind in range(problem.kinds):
+            critical.tail[i, kind] = critical.tail[i + 1, kind] + problem.load_units[i, kind]
+        # Between two placements a best walk visits no node twice before the hop that places, so it takes a link at most
+        # twice there, once after the last.
+        critical.link_tail[i] = critical.link_tail[i + 1] + 2 * problem.rate_units[i]
+
+
+@inlined
+def _vm_number(problem, node, vm, kind):
+    return vm_resource(node, vm, problem.vm_offered.shape[1]) * problem.kinds + kind
+
+
+@inlined
+def _link_number(problem, link):
+    nodes, vms, kinds = problem.vm_offered.shape
+    return count_vms(nodes, vms) * kinds + link
 
 
 @inlined
 def offered_of(problem, resource):
-    """Ledger units that ``resource`` offers."""
-    nodes, vms = problem.vm_offered.shape
-    first_link = count_vms(nodes, vms)
+    """Ledger units that ``resource`` offers, a kind of a VM or a link."""
+    first_link = _link_number(problem, 0)
     if resource >= first_link:
         return problem.link_offered[resource - first_link]
-    node, vm = split_vm(resource, vms)
-    return problem.vm_offered[node, vm]
+    node, vm = split_vm(resource // problem.kinds, problem.vm_offered.shape[1])
+    return problem.vm_offered[node, vm, resource % problem.kinds]
 
 
 @inlined
@@ -125,34 +167,58 @@ def add_overused(problem, walk, steps, critical):
     Returns:
         0 if nothing was overused, 1 if resources were added, OVERFLOW if there was no room for them.
     """
-    nodes, vms = problem.vm_offered.shape
     i = 0
     outcome = 0
     for j in range(steps):
         if walk.link[j] >= 0:
-            critical.used[link_resource(walk.link[j], nodes, vms)] += problem.rate_units
+            critical.used[_link_number(problem, walk.link[j])] += problem.rate_units[i]
         if walk.vm[j] >= 0:
-            critical.used[vm_resource(walk.node[j], walk.vm[j], vms)] += problem.load_units[i]
+            for kind in range(problem.kinds):
+                critical.used[_vm_number(problem, walk.node[j], walk.vm[j], kind)] += problem.load_units[i, kind]
             i += 1
     for j in range(steps):
-        for kind in range(2):
-            if kind == 0 and walk.link[j] >= 0:
-                resource = link_resource(walk.link[j], nodes, vms)
-            elif kind == 1 and walk.vm[j] >= 0:
-                resource = vm_resource(walk.node[j], walk.vm[j], vms)
-            else:
-                continue
-            if critical.used[resource] > offered_of(problem, resource):
-                column = critical.tracked[0]
-                if column < critical.resource.size:
-                    critical.resource[column] = resource
-                    critical.column[resource] = column
-                    critical.tracked[0] += 1
-                    outcome = 1 if outcome == 0 else outcome
-                else:
-                    outcome = OVERFLOW
-            critical.used[resource] = 0
+        if walk.link[j] >= 0:
+            outcome = _mark(problem, critical, _link_number(problem, walk.link[j]), outcome)
+        if walk.vm[j] >= 0:
+            for kind in range(problem.kinds):
+                number = _vm_number(problem, walk.node[j], walk.vm[j], kind)
+                outcome = _mark(problem, critical, number, outcome)
+    if problem.distinct and _mark_nodes(walk, steps, critical) and outcome == 0:
+        return 1
     return outcome
+
+
+@inlined
+def _mark(problem, critical, resource, outcome):
+    """Make ``resource`` critical if it is overused, and forget its use. Returns the new outcome."""
+    if critical.used[resource] > offered_of(problem, resource):
+        column = critical.tracked[0]
+        if column < critical.resource.size:
+            critical.resource[column] = resource
+            critical.column[resource] = column
+            critical.tracked[0] += 1
+            outcome = 1 if outcome == 0 else outcome
+        else:
+            outcome = OVERFLOW
+    critical.used[resource] = 0
+    return outcome
+
+
+@part
+def _mark_nodes(walk, steps, critical):
+    """Make nodes critical on which the walk places more than one function; whether there were any."""
+    found = False
+    for j in range(steps):
+        for k in range(j):
+            if walk.vm[j] >= 0 and walk.vm[k] >= 0 and walk.node[j] == walk.node[k]:
+                critical.nodes[walk.node[j] // 64] |= _bit(walk.node[j])
+                found = True
+    return found
+
+
+@inlined
+def _bit(node):
+    return np.uint64(1) << np.uint64(node % 64)
 
 
 @part
@@ -174,16 +240,33 @@ def search_labels(search, walk):
     labels.parent[label] = -1
     for c in range(search.critical.tracked[0]):
         labels.usage[label, c] = 0
-    _list_and_open(labels, label, search.cost_to_go[0, problem.ingress])
+    labels.nodes[label, :] = 0
+    if problem.ingress >= 0:
+        _list_and_open(labels, label, search.cost_to_go[0, problem.ingress])
+    elif not _open_everywhere(search, label):
+        return OVERFLOW, 0
     while labels.size[1] > 0:
         label = _pop(labels)
         if not labels.alive[label]:
             continue
-        if labels.node[label] == problem.egress and labels.placed[label] == problem.functions:
+        if labels.placed[label] == problem.functions and ends_at(problem, labels.node[label]):
             return FOUND, _trace(labels, label, walk)
         if not _expand(search, label):
             return OVERFLOW, 0
     return NONE, 0
+
+
+@part
+def _open_everywhere(search, label):
+    """Open every VM that can take the first function of a request with a free ingress; False if the pool is full."""
+    problem, labels = search.problem, search.labels
+    for node in range(problem.nodes):
+        if labels.size[0] + problem.vm_count[node] >= labels.cost.size:
+            return False
+        for vm in range(problem.vm_count[node]):
+            if vm_fits(problem, node, vm, 0):
+                _open(search, label, node, -1, vm)
+    return True
 
 
 @inlined
@@ -192,20 +275,19 @@ def _expand(search, label):
     problem, labels, cost_to_go = search.problem, search.labels, search.cost_to_go
     node = labels.node[label]
     i = labels.placed[label]
-    at_egress = node == problem.egress
     # Room for all that one expansion can open, so that no check is needed below.
     if labels.size[0] + problem.vm_count[node] >= labels.cost.size:
         return False
-    if i < problem.functions and (at_egress or problem.colocation):
+    if i < problem.functions and may_stay(problem, node, i):
         for vm in range(problem.vm_count[node]):
-            if fits(problem.vm_offered[node, vm], problem.load_units[i]):
+            if vm_fits(problem, node, vm, i):
                 _open(search, label, node, -1, vm)
-    if at_egress:
+    if not may_leave(problem, node, i):
         return True
     for k in range(problem.degree[node]):
         link = problem.neighbour_link[node, k]
         after = problem.neighbour[node, k]
-        if not fits(problem.link_offered[link], problem.rate_units):
+        if not link_fits(problem, link, i):
             continue
         if labels.size[0] + problem.vm_count[after] + 1 >= labels.cost.size:
             return False
@@ -213,7 +295,7 @@ def _expand(search, label):
             _open(search, label, after, link, -1)
         if i < problem.functions and cost_to_go[i + 1, after] < np.inf:
             for vm in range(problem.vm_count[after]):
-                if fits(problem.vm_offered[after, vm], problem.load_units[i]):
+                if vm_fits(problem, after, vm, i):
                     _open(search, label, after, link, vm)
     return True
 
@@ -227,11 +309,11 @@ def _open(search, parent, node, link, vm):
     cost = labels.cost[parent]
     step_delay = 0.0
     if link >= 0:
-        cost += link_cost(problem.link_price[link], problem.rate)
-        step_delay = problem.hop_delay[link]
+        cost += hop_cost(problem, link, i)
+        step_delay = hop_delay(problem, link, i)
     if vm >= 0:
-        cost += vm_cost(problem.vm_price[node, vm], problem.load[i])
-        step_delay += vm_delay(problem.load[i], problem.vm_speed[node, vm])
+        cost += place_cost(problem, node, vm, i)
+        step_delay += place_delay(problem, node, vm, i)
     delay = labels.delay[parent] + step_delay
     # The bound was summed in another order, so it gets the tolerance once more; the delay itself does not.
     if delay > problem.budget or delay + search.delay_to_go[placed, node] > problem.budget + DELAY_TOLERANCE:
@@ -247,6 +329,11 @@ def _open(search, parent, node, link, vm):
     labels.delay[label] = delay
     labels.placed[label] = placed
     labels.steps[label] = steps
+    if problem.distinct:
+        if not _meet(search, parent, label, node, vm):
+            return
+        # Of walks that cost the same those that have placed more go first: where many do, that is most of the work.
+        bound -= DEEPER_FIRST * placed * bound
     if critical.tracked[0] > 0 and not _use(search, parent, label, node, link, vm):
         return
     if not _keep(search, label, node):
@@ -260,24 +347,40 @@ def _open(search, parent, node, link, vm):
 
 
 @inlined
+def _meet(search, parent, label, node, vm):
+    """Note the nodes with a function; False if two of them meet on a node where that counts."""
+    labels = search.labels
+    for word in range(labels.nodes.shape[1]):
+        labels.nodes[label, word] = labels.nodes[parent, word]
+    if vm < 0:
+        return True
+    word, bit = node // 64, _bit(node)
+    if labels.nodes[parent, word] & search.critical.nodes[word] & bit:
+        return False
+    labels.nodes[label, word] |= bit
+    return True
+
+
+@inlined
 def _use(search, parent, label, node, link, vm):
     """Book the step's use of critical resources; False if one of them has not enough left."""
     problem, labels, critical = search.problem, search.labels, search.critical
     for c in range(critical.tracked[0]):
         labels.usage[label, c] = labels.usage[parent, c]
-    nodes, vms = problem.vm_offered.shape
+    i = labels.placed[parent]
     if link >= 0:
-        c = critical.column[link_resource(link, nodes, vms)]
+        c = critical.column[_link_number(problem, link)]
         if c >= 0:
-            labels.usage[label, c] += problem.rate_units
+            labels.usage[label, c] += problem.rate_units[i]
             if not fits(problem.link_offered[link], labels.usage[label, c]):
                 return False
     if vm >= 0:
-        c = critical.column[vm_resource(node, vm, vms)]
-        if c >= 0:
-            labels.usage[label, c] += problem.load_units[labels.placed[parent]]
-            if not fits(problem.vm_offered[node, vm], labels.usage[label, c]):
-                return False
+        for kind in range(problem.kinds):
+            c = critical.column[_vm_number(problem, node, vm, kind)]
+            if c >= 0:
+                labels.usage[label, c] += problem.load_units[i, kind]
+                if not fits(problem.vm_offered[node, vm, kind], labels.usage[label, c]):
+                    return False
     return True
 
 
@@ -312,17 +415,19 @@ def _dominates(search, a, b):
         return False
     if critical.tracked[1] > 0 and labels.steps[a] > labels.steps[b]:
         return False
-    nodes, vms = problem.vm_offered.shape
     placed = labels.placed[a]
+    if problem.distinct and placed < problem.functions:
+        for word in range(labels.nodes.shape[1]):
+            if labels.nodes[a, word] & ~labels.nodes[b, word] & critical.nodes[word]:
+                return False
     for c in range(critical.tracked[0]):
         if labels.usage[a, c] > labels.usage[b, c]:
             resource = critical.resource[c]
-            # More than the rest of a walk can need is as good as unused. Between two placements a best walk visits
-            # no node twice before the hop that places, so it takes a link at most twice there, once after the last.
-            if resource >= count_vms(nodes, vms):
-                need = (2 * (problem.functions - placed) + 1) * problem.rate_units
+            # More than the rest of a walk can need is as good as unused.
+            if resource >= _link_number(problem, 0):
+                need = critical.link_tail[placed]
             else:
-                need = critical.tail[placed]
+                need = critical.tail[placed, resource % problem.kinds]
             if offered_of(problem, resource) - labels.usage[a, c] < need:
                 return False
     return True

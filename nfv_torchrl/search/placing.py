@@ -2,7 +2,7 @@
 
 A place is a position of the path (0 the ingress, ``hops`` the egress) and a VM of the node there. Positions of a chain
 never fall. Without colocation each node but the egress takes one function and the ingress none, because a function is
-placed with the hop into a node.
+placed with the hop into a node. Where functions must not meet every node of the path takes one, the ends included.
 """
 
 from __future__ import annotations
@@ -12,9 +12,21 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.search.paths import Candidates, Pair, Paths, grow_paths, make_candidates, make_paths, paths_between
-from nfv_torchrl.search.walks import OVERFLOW, PlannedWalk, Prices, encode_walk, make_walk, walk_totals
+from nfv_torchrl.search.walks import (
+    OVERFLOW,
+    PlannedWalk,
+    Prices,
+    encode_walk,
+    hop_cost,
+    hop_delay,
+    link_fits,
+    make_walk,
+    place_cost,
+    place_delay,
+    walk_totals,
+)
 from nfv_torchrl.simulator.compiled import part
-from nfv_torchrl.simulator.steps import fits, link_cost, vm_cost, vm_delay
+from nfv_torchrl.simulator.steps import fits
 from nfv_torchrl.simulator.tables import Tables
 
 
@@ -28,13 +40,14 @@ class Placing(NamedTuple):
     lacking: np.ndarray  # int64 [k], links that cannot carry the request
     position: np.ndarray  # int64 [k + 2, F], placement on each path; the last two rows are for callers
     vm: np.ndarray  # int64 [k + 2, F]
-    used: np.ndarray  # int64 [V]
+    used: np.ndarray  # int64 [V, R]
+    hopeless: np.ndarray  # bool [k], paths that cannot hold the chain in order, however large their VMs
     walk: PlannedWalk
 
 
 def make_placing(tables: Tables, paths: int) -> Placing:
     """Scratch for placements on ``paths`` paths a pair of nodes."""
-    nodes, vms = tables.vm_capacity.shape[1:]
+    nodes, vms, kinds = tables.vm_capacity.shape[1:]
     functions = tables.load.shape[1]
     return Placing(
         paths=make_paths(tables, paths),
@@ -44,7 +57,8 @@ def make_placing(tables: Tables, paths: int) -> Placing:
         lacking=np.zeros(paths, np.int64),
         position=np.zeros((paths + 2, functions), np.int64),
         vm=np.zeros((paths + 2, functions), np.int64),
-        used=np.zeros(vms, np.int64),
+        used=np.zeros((vms, kinds), np.int64),
+        hopeless=np.zeros(paths, np.bool_),
         walk=make_walk(nodes + functions),
     )
 
@@ -67,22 +81,65 @@ def first_position(problem, hops, before):
     """First position that may take the function after the one at ``before`` (-1: the chain's first function)."""
     if problem.colocation:
         return max(before, 0)
+    if problem.distinct:
+        return before + 1
     return min(max(before, 0) + 1, hops)
 
 
 @part
+def last_position(problem, hops, i):
+    """Last position for function ``i`` that leaves room for those after it."""
+    return hops - (problem.functions - 1 - i) if problem.distinct else hops
+
+
+@part
 def measure_path(problem, placing, number, j):
-    """Fill cost, delay and lacking links of path ``number``, the request's ``j``-th."""
+    """Fill cost, delay and lacking links of path ``number``, the request's ``j``-th, for requests of one rate."""
     paths = placing.paths
     placing.link_cost[j] = 0.0
     placing.link_delay[j] = 0.0
     placing.lacking[j] = 0
     for hop in range(paths.start[number], paths.start[number] + paths.hops[number]):
         link = paths.link[hop]
-        placing.link_cost[j] += link_cost(problem.link_price[link], problem.rate)
-        placing.link_delay[j] += problem.hop_delay[link]
-        if not fits(problem.link_offered[link], problem.rate_units):
+        placing.link_cost[j] += hop_cost(problem, link, 0)
+        placing.link_delay[j] += hop_delay(problem, link, 0)
+        if not link_fits(problem, link, 0):
             placing.lacking[j] += 1
+
+
+@part
+def _measure_segments(problem, placing, number, position):
+    """Cost, delay and lacking links of path ``number`` with functions at ``position``, each segment at its own rate."""
+    paths = placing.paths
+    cost, delay, lacking = 0.0, 0.0, 0
+    i = 0
+    for hop in range(paths.hops[number]):
+        while i < problem.functions and position[i] <= hop:
+            i += 1
+        link = paths.link[paths.start[number] + hop]
+        cost += hop_cost(problem, link, i)
+        delay += hop_delay(problem, link, i)
+        if not link_fits(problem, link, i):
+            lacking += 1
+    return cost, delay, lacking
+
+
+@part
+def _fits_beside(problem, node, vm, i, used, same):
+    """Whether a VM has room for function ``i`` beside what the functions before it took, if they took it here."""
+    for kind in range(problem.kinds):
+        own = used[vm, kind] if same else 0
+        if not fits(problem.vm_offered[node, vm, kind] - own, problem.load_units[i, kind]):
+            return False
+    return True
+
+
+@part
+def _price(problem, node, vm, i):
+    """What orders VMs by how dear function ``i`` is there."""
+    if problem.kinds == 1:
+        return problem.vm_price[node, vm, 0]
+    return place_cost(problem, node, vm, i)
 
 
 @part
@@ -102,16 +159,15 @@ def place_in_order(problem, placing, number, position, vm, heed_capacity):
     hops = paths.hops[number]
     before = -1
     for i in range(problem.functions):
-        load = problem.load_units[i]
         least = np.inf
-        for at in range(first_position(problem, hops, before), hops + 1):
+        for at in range(first_position(problem, hops, before), last_position(problem, hops, i) + 1):
             node = node_at(problem, paths, number, at)
             for v in range(problem.vm_count[node]):
-                own = used[v] if at == before else 0
-                if heed_capacity and not fits(problem.vm_offered[node, v] - own, load):
+                if heed_capacity and not _fits_beside(problem, node, v, i, used, at == before):
                     continue
-                if problem.vm_price[node, v] < least:
-                    least = problem.vm_price[node, v]
+                price = _price(problem, node, v, i)
+                if price < least:
+                    least = price
                     position[i] = at
                     vm[i] = v
         if least == np.inf:
@@ -119,7 +175,8 @@ def place_in_order(problem, placing, number, position, vm, heed_capacity):
         if position[i] != before:
             used[:] = 0
         before = position[i]
-        used[vm[i]] += load
+        for kind in range(problem.kinds):
+            used[vm[i], kind] += problem.load_units[i, kind]
     return True
 
 
@@ -131,28 +188,42 @@ def judge(problem, placing, number, j, position, vm):
     """
     paths = placing.paths
     hops = paths.hops[number]
+    if placing.hopeless[j]:
+        return 0.0, 1e6
     cost = placing.link_cost[j]
     delay = placing.link_delay[j]
+    lacking = placing.lacking[j]
+    if not problem.one_rate:
+        cost, delay, lacking = _measure_segments(problem, placing, number, position)
     steps = hops
-    violation = float(placing.lacking[j])
+    violation = float(lacking)
     for i in range(problem.functions):
         node = node_at(problem, paths, number, position[i])
-        cost += vm_cost(problem.vm_price[node, vm[i]], problem.load[i])
-        delay += vm_delay(problem.load[i], problem.vm_speed[node, vm[i]])
+        cost += place_cost(problem, node, vm[i], i)
+        delay += place_delay(problem, node, vm[i], i)
         if position[i] == (position[i - 1] if i > 0 else 0):
             steps += 1
-        taken = 0
-        for other in range(i + 1):
-            if position[other] == position[i] and vm[other] == vm[i]:
-                taken += problem.load_units[other]
-        over = taken - problem.vm_offered[node, vm[i]]
-        if over > 0:
-            violation += min(over, problem.load_units[i]) / problem.load_units[i]
+        violation += _overuse(problem, node, position, vm, i)
     if delay > problem.budget:
         violation += delay / problem.budget - 1.0
     if steps > problem.max_steps:
         violation += steps - problem.max_steps
     return cost, violation
+
+
+@part
+def _overuse(problem, node, position, vm, i):
+    """Share of function ``i`` that its VM on ``node`` lacks, with the functions before it that stand there."""
+    worst = 0.0
+    for kind in range(problem.kinds):
+        taken = 0
+        for other in range(i + 1):
+            if position[other] == position[i] and vm[other] == vm[i]:
+                taken += problem.load_units[other, kind]
+        over = taken - problem.vm_offered[node, vm[i], kind]
+        if over > 0 and problem.load_units[i, kind] > 0:
+            worst = max(worst, min(over, problem.load_units[i, kind]) / problem.load_units[i, kind])
+    return worst
 
 
 @part
@@ -195,7 +266,8 @@ def encode_placement(problem, placing, number, position, vm, plan):
 def place_greedily(problem, tables, placing):
     """Place the chain in order on each of the k paths.
 
-    Paths where the functions do not fit get the placement that ignores capacities, so that every row is defined.
+    Paths where the functions do not fit get the placement that ignores capacities, so that every row is defined, but
+    for those of ``placing.hopeless``.
 
     Returns:
         (row of ``paths``, the path with the cheapest feasible placement or -1); the row is OVERFLOW if there was no
@@ -212,8 +284,9 @@ def place_greedily(problem, tables, placing):
         number = row * placing.lacking.size + j
         measure_path(problem, placing, number, j)
         position, vm = placing.position[j], placing.vm[j]
+        placing.hopeless[j] = False
         if not place_in_order(problem, placing, number, position, vm, True):
-            place_in_order(problem, placing, number, position, vm, False)
+            placing.hopeless[j] = not place_in_order(problem, placing, number, position, vm, False)
         cost, violation = judge(problem, placing, number, j, position, vm)
         if violation == 0.0 and cost < least:
             least = cost

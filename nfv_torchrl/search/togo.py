@@ -11,8 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.simulator.compiled import inlined
-from nfv_torchrl.simulator.steps import fits, link_cost, vm_cost, vm_delay
+from nfv_torchrl.search.walks import (
+    ends_at,
+    hop_cost,
+    hop_delay,
+    link_fits,
+    may_leave,
+    may_stay,
+    place_cost,
+    place_delay,
+    vm_fits,
+)
+from nfv_torchrl.simulator.compiled import inlined, part
 
 
 class ToGo(NamedTuple):
@@ -50,46 +60,57 @@ def make_to_go(nodes: int, links: int, functions: int) -> ToGo:
 @inlined
 def fill_cost_to_go(problem, to_go):
     """Least price ($) from every (function, node) to the end of the request."""
-    for link in range(problem.links):
-        carries = fits(problem.link_offered[link], problem.rate_units)
-        to_go.link_weight[link] = link_cost(problem.link_price[link], problem.rate) if carries else np.inf
-    for node in range(problem.nodes):
-        for i in range(problem.functions):
-            to_go.place_weight[i, node] = np.inf
-        for vm in range(problem.vm_count[node]):
-            offered = problem.vm_offered[node, vm]
-            for i in range(problem.functions):
-                if fits(offered, problem.load_units[i]):
-                    weight = vm_cost(problem.vm_price[node, vm], problem.load[i])
-                    if weight < to_go.place_weight[i, node]:
-                        to_go.place_weight[i, node] = weight
-                        to_go.place_vm[i, node] = vm
-    _fill(problem, to_go)
+    _fill(problem, to_go, False)
 
 
 @inlined
 def fill_delay_to_go(problem, to_go):
     """Least delay (ms) from every (function, node) to the end of the request."""
-    for link in range(problem.links):
-        carries = fits(problem.link_offered[link], problem.rate_units)
-        to_go.link_weight[link] = problem.hop_delay[link] if carries else np.inf
-    for node in range(problem.nodes):
-        for i in range(problem.functions):
-            to_go.place_weight[i, node] = np.inf
-            for vm in range(problem.vm_count[node]):
-                if fits(problem.vm_offered[node, vm], problem.load_units[i]):
-                    weight = vm_delay(problem.load[i], problem.vm_speed[node, vm])
-                    if weight < to_go.place_weight[i, node]:
-                        to_go.place_weight[i, node] = weight
-                        to_go.place_vm[i, node] = vm
-    _fill(problem, to_go)
+    _fill(problem, to_go, True)
+
+
+@part
+def _fill(problem, to_go, by_delay):
+    _weigh_places(problem, to_go, by_delay)
+    for i in range(problem.functions, -1, -1):
+        if i == problem.functions or not problem.one_rate:
+            _weigh_links(problem, to_go, i, by_delay)
+        _seed_layer(problem, to_go, i)
+        _relax_layer(problem, to_go, i)
 
 
 @inlined
-def _fill(problem, to_go):
-    for i in range(problem.functions, -1, -1):
-        _seed_layer(problem, to_go, i)
-        _relax_layer(problem, to_go, i)
+def _weigh_places(problem, to_go, by_delay):
+    """The best VM of each node for each function."""
+    for node in range(problem.nodes):
+        for i in range(problem.functions):
+            to_go.place_weight[i, node] = np.inf
+        for vm in range(problem.vm_count[node]):
+            for i in range(problem.functions):
+                if vm_fits(problem, node, vm, i):
+                    weight = place_delay(problem, node, vm, i) if by_delay else place_cost(problem, node, vm, i)
+                    if weight < to_go.place_weight[i, node]:
+                        to_go.place_weight[i, node] = weight
+                        to_go.place_vm[i, node] = vm
+
+
+@inlined
+def _weigh_links(problem, to_go, i, by_delay):
+    """What segment ``i`` takes on each link."""
+    for link in range(problem.links):
+        weight = hop_delay(problem, link, i) if by_delay else hop_cost(problem, link, i)
+        to_go.link_weight[link] = weight if link_fits(problem, link, i) else np.inf
+
+
+@part
+def best_start(problem, to_go):
+    """Node on which the first function of a request with a free ingress is best placed, -1 if there is none."""
+    best, least = -1, np.inf
+    for node in range(problem.nodes):
+        value = to_go.place_weight[0, node] + to_go.value[1, node]
+        if value < least:
+            best, least = node, value
+    return best
 
 
 @inlined
@@ -101,14 +122,14 @@ def _seed_layer(problem, to_go, i):
         to_go.entering[node] = np.inf
         if i < problem.functions:
             to_go.entering[node] = to_go.place_weight[i, node] + to_go.value[i + 1, node]
-            if problem.colocation or node == problem.egress:
+            if may_stay(problem, node, i):
                 to_go.value[i, node] = to_go.entering[node]
                 to_go.node[i, node] = node
                 to_go.link[i, node] = -1
                 to_go.places[i, node] = True
-    if i == problem.functions:
-        to_go.value[i, problem.egress] = 0.0
-        to_go.entering[problem.egress] = 0.0
+        elif ends_at(problem, node):
+            to_go.value[i, node] = 0.0
+            to_go.entering[node] = 0.0
 
 
 @inlined
@@ -132,9 +153,10 @@ def _relax_layer(problem, to_go, i):
         for k in range(problem.degree[node]):
             before = problem.neighbour[node, k]
             link = problem.neighbour_link[node, k]
+            if problem.full_duplex:  # the direction from there to here
+                link ^= 1
             weight = to_go.link_weight[link] + entering
-            # The walk never leaves the egress.
-            if before == problem.egress or not weight < to_go.value[i, before]:
+            if not may_leave(problem, before, i) or not weight < to_go.value[i, before]:
                 continue
             to_go.value[i, before] = weight
             to_go.node[i, before] = node

@@ -4,90 +4,99 @@ from __future__ import annotations
 
 import numpy as np
 
-from nfv_torchrl.codec import count_vms, link_resource, split_vm, vm_resource
-from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.codec import count_vms, link_resource, split_use, split_vm, use_of, vm_resource
+from nfv_torchrl.simulator.compiled import inlined, part
 from nfv_torchrl.simulator.view import show_share
 
 
-@part
-def change_vm(world, b, node, vm, amount):
-    """Reserve ``amount`` ledger units of a VM (give back when negative)."""
-    ledger, e = world.ledger, world.env[b]
-    ledger.vm_reserved[b, node, vm] += amount
-    e.vm_used += amount
-    if not ledger.vm_failed[b, node, vm]:
-        ledger.vm_offered[b, node, vm] -= amount
-        resource = vm_resource(node, vm, ledger.vm_offered.shape[2])
-        capacity = world.tables.vm_capacity[e.net, node, vm]
-        show_share(world.seen.flat, b, resource, capacity, ledger.vm_offered[b, node, vm])
+@inlined
+def change_vm(world, b, node, vm, use, sign):
+    """Reserve what a function takes of a VM (give it back with ``sign`` -1); ``use``: its profile and place there."""
+    tables, ledger, e = world.tables, world.ledger, world.env[b]
+    profile, function = use
+    _, _, vms, kinds = ledger.vm_offered.shape
+    for kind in range(kinds):
+        amount = sign * tables.load_units[profile, function, kind]
+        ledger.vm_reserved[b, node, vm, kind] += amount
+        ledger.vm_used[b, kind] += amount
+        if not ledger.vm_failed[b, node, vm]:
+            ledger.vm_offered[b, node, vm, kind] -= amount
+            place = kinds * vm_resource(node, vm, vms) + kind
+            capacity = tables.vm_capacity[e.net, node, vm, kind]
+            show_share(world.seen.flat, b, place, capacity, ledger.vm_offered[b, node, vm, kind])
 
 
-@part
-def change_link(world, b, link, amount):
-    """Reserve ``amount`` ledger units of a link (give back when negative)."""
-    ledger, e = world.ledger, world.env[b]
+@inlined
+def change_link(world, b, link, use, sign):
+    """Reserve what a segment takes of a link (give it back with ``sign`` -1); ``use``: its profile and place there."""
+    tables, ledger, e = world.tables, world.ledger, world.env[b]
+    profile, segment = use
+    amount = sign * tables.rate_units[profile, segment]
     ledger.link_reserved[b, link] += amount
     e.link_used += amount
     if not ledger.link_failed[b, link]:
         ledger.link_offered[b, link] -= amount
-        resource = link_resource(link, ledger.vm_offered.shape[1], ledger.vm_offered.shape[2])
-        capacity = world.tables.link_capacity[e.net, link]
-        show_share(world.seen.flat, b, resource, capacity, ledger.link_offered[b, link])
+        _, nodes, vms, kinds = ledger.vm_offered.shape
+        place = kinds * count_vms(nodes, vms) + link
+        show_share(world.seen.flat, b, place, tables.link_capacity[e.net, link], ledger.link_offered[b, link])
 
 
-@part
-def _hold(world, b, resource, amount):
-    """Note what the walk has reserved, so that it can be given back."""
+@inlined
+def _hold(world, b, resource):
+    """Note what the walk has reserved with its next function, or on the way there, so that it can be given back."""
     walk, e = world.walk, world.env[b]
     walk.resource[b, e.entries] = resource
-    walk.amount[b, e.entries] = amount
+    walk.use[b, e.entries] = use_of(e.profile, e.function, world.tables.load_units.shape[1])
     e.entries += 1
 
 
-@part
+@inlined
 def reserve_step(world, b, step):
     """Reserve what a step takes of its link and, if it places a function, of its VM."""
-    tables, e = world.tables, world.env[b]
-    _, nodes, vms = world.ledger.vm_offered.shape
+    e = world.env[b]
+    _, nodes, vms, _ = world.ledger.vm_offered.shape
+    use = e.profile, e.function
     if step.link >= 0:
-        units = tables.rate_units[e.service]
-        change_link(world, b, step.link, units)
-        _hold(world, b, link_resource(step.link, nodes, vms), units)
+        change_link(world, b, step.link, use, 1)
+        _hold(world, b, link_resource(step.link, nodes, vms))
     if step.places:
-        units = tables.load_units[e.service, e.function]
-        change_vm(world, b, step.node, step.vm, units)
-        _hold(world, b, vm_resource(step.node, step.vm, vms), units)
+        change_vm(world, b, step.node, step.vm, use, 1)
+        _hold(world, b, vm_resource(step.node, step.vm, vms))
 
 
 @part
 def set_failed(world, b, resource, failed):
     """A failed resource offers nothing; a repaired one offers what is not reserved."""
     ledger, tables, e = world.ledger, world.tables, world.env[b]
-    _, nodes, vms = ledger.vm_offered.shape
+    _, nodes, vms, kinds = ledger.vm_offered.shape
     first_link = count_vms(nodes, vms)
     if resource < first_link:
         node, vm = split_vm(resource, vms)
-        capacity = tables.vm_capacity[e.net, node, vm]
         ledger.vm_failed[b, node, vm] = failed
-        ledger.vm_offered[b, node, vm] = 0 if failed else capacity - ledger.vm_reserved[b, node, vm]
-        show_share(world.seen.flat, b, resource, capacity, ledger.vm_offered[b, node, vm])
+        for kind in range(kinds):
+            capacity = tables.vm_capacity[e.net, node, vm, kind]
+            ledger.vm_offered[b, node, vm, kind] = 0 if failed else capacity - ledger.vm_reserved[b, node, vm, kind]
+            place = kinds * resource + kind
+            show_share(world.seen.flat, b, place, capacity, ledger.vm_offered[b, node, vm, kind])
     else:
         link = resource - first_link
         capacity = tables.link_capacity[e.net, link]
         ledger.link_failed[b, link] = failed
         ledger.link_offered[b, link] = 0 if failed else capacity - ledger.link_reserved[b, link]
-        show_share(world.seen.flat, b, resource, capacity, ledger.link_offered[b, link])
+        show_share(world.seen.flat, b, kinds * first_link + link, capacity, ledger.link_offered[b, link])
 
 
-@part
-def _give_back(world, b, resource, amount):
-    _, nodes, vms = world.ledger.vm_offered.shape
+@inlined
+def _give_back(world, b, resource, use):
+    """Give back what a part of a request has reserved; ``use``: which, as ``use_of`` has it."""
+    _, nodes, vms, _ = world.ledger.vm_offered.shape
+    use = split_use(use, world.tables.load_units.shape[1])
     first_link = count_vms(nodes, vms)
     if resource < first_link:
         node, vm = split_vm(resource, vms)
-        change_vm(world, b, node, vm, -amount)
+        change_vm(world, b, node, vm, use, -1)
     else:
-        change_link(world, b, resource - first_link, -amount)
+        change_link(world, b, resource - first_link, use, -1)
 
 
 @part
@@ -95,7 +104,7 @@ def release_walk(world, b):
     """A rejected walk gives back at once all that it had reserved."""
     walk = world.walk
     for k in range(world.env[b].entries):
-        _give_back(world, b, walk.resource[b, k], walk.amount[b, k])
+        _give_back(world, b, np.int64(walk.resource[b, k]), np.int64(walk.use[b, k]))
 
 
 @part
@@ -110,7 +119,7 @@ def keep_running(world, b):
         entry = e.free_entry
         e.free_entry = running.entry_next[b, entry]
         running.entry_resource[b, entry] = walk.resource[b, k]
-        running.entry_amount[b, entry] = walk.amount[b, k]
+        running.entry_use[b, entry] = walk.use[b, k]
         running.entry_next[b, entry] = first
         first = entry
     e.free_entries -= e.entries
@@ -130,7 +139,7 @@ def end_record(world, b, record):
     running, e = world.running, world.env[b]
     entry = running.record_entry[b, record]
     while entry != -1:
-        _give_back(world, b, running.entry_resource[b, entry], running.entry_amount[b, entry])
+        _give_back(world, b, np.int64(running.entry_resource[b, entry]), np.int64(running.entry_use[b, entry]))
         following = running.entry_next[b, entry]
         running.entry_next[b, entry] = e.free_entry
         e.free_entry = entry
@@ -150,12 +159,15 @@ def end_record(world, b, record):
 def empty_network(world, b):
     """Put the books, pools and counters of environment b back to an idle network."""
     tables, ledger, running, e = world.tables, world.ledger, world.running, world.env[b]
-    _, nodes, vms = ledger.vm_offered.shape
+    _, nodes, vms, kinds = ledger.vm_offered.shape
     for node in range(nodes):
         for vm in range(vms):
-            ledger.vm_reserved[b, node, vm] = 0
             ledger.vm_failed[b, node, vm] = False
-            ledger.vm_offered[b, node, vm] = tables.vm_capacity[e.net, node, vm]
+            for kind in range(kinds):
+                ledger.vm_reserved[b, node, vm, kind] = 0
+                ledger.vm_offered[b, node, vm, kind] = tables.vm_capacity[e.net, node, vm, kind]
+    for kind in range(kinds):
+        ledger.vm_used[b, kind] = 0
     for link in range(ledger.link_offered.shape[1]):
         ledger.link_reserved[b, link] = 0
         ledger.link_failed[b, link] = False

@@ -15,7 +15,7 @@ from nfv_torchrl.simulator.mask import PASSES, check_step, write_mask
 from nfv_torchrl.simulator.reasons import NO_REASON, Reason
 from nfv_torchrl.simulator.slots import next_request, open_slot
 from nfv_torchrl.simulator.state import OUTCOME
-from nfv_torchrl.simulator.steps import Step, find_link, step_cost, step_delay
+from nfv_torchrl.simulator.steps import Step, find_link, is_complete, step_cost, step_delay
 from nfv_torchrl.simulator.view import show_request
 
 NO_FEASIBLE_ACTION = int(Reason.NO_FEASIBLE_ACTION)
@@ -28,7 +28,7 @@ def _move(world, b, action):
     """Check a step and, if it passes, reserve for it. Returns ``PASSES`` or the reason's code."""
     tables, ledger, walk, e = world.tables, world.ledger, world.walk, world.env[b]
     node, vm, places = decode_action(action, ledger.vm_offered.shape[2])
-    link = np.int64(-1) if node == e.node else find_link(tables, e.net, e.node, node)
+    link = np.int64(-1) if node == e.node or e.node < 0 else find_link(tables, e.net, e.node, node)
     step = Step(link, node, vm, places)
     reason = check_step(world, b, step)
     if reason != PASSES:
@@ -101,8 +101,7 @@ def step_env(world, b, action):
     out[b, OUTCOME.done] = 1.0
     if e.done == 1:
         return
-    service = e.service
-    out[b, OUTCOME.service] = service
+    out[b, OUTCOME.service] = e.service
     out[b, OUTCOME.request_slot] = e.request_slot
     reject = world.seen.mask.shape[1] - 1
     if action == reject:
@@ -119,7 +118,7 @@ def step_env(world, b, action):
         reason = _move(world, b, action)
         if reason != PASSES:
             _finish(world, b, reason, action)
-        elif e.node == e.egress and e.function == world.tables.chain_length[service]:
+        elif is_complete(world.tables, e):
             _finish(world, b, NO_REASON, action)
         else:
             show_request(world, b)
@@ -156,7 +155,6 @@ def start_env(world, b):
     e.event_cursor = 0
     e.running_cost = 0.0
     e.num_running = 0
-    e.vm_used = 0
     e.link_used = 0
     e.log_length = 0
     e.done = 0

@@ -27,6 +27,8 @@ def scenario_rules(scenario: Scenario) -> Rules:
         feasible_mask=scenario.mask == "feasible",
         admission_control=scenario.admission_control,
         max_steps=scenario.max_steps,
+        distinct=scenario.placement == "distinct",
+        free_ends=scenario.free_ends,
     )
 
 
@@ -67,7 +69,7 @@ class Simulator:
         first = self.scenarios[0]
         self._check_size(record)
         net = np.arange(batch_size) % len(self.scenarios)
-        tables = build_tables([s.substrate for s in self.scenarios], first.catalogue)
+        tables = build_tables([s.substrate for s in self.scenarios], first.profiles)
         self.world: World = new_world(tables, scenario_rules(first), net, first.horizon, first.warmup, one_hot, record)
         self._service_shares = [_service_shares(scenario) for scenario in self.scenarios]
         self.world.env["done"] = 1
@@ -92,6 +94,10 @@ class Simulator:
             for name in ("horizon", "warmup", "catalogue"):
                 if getattr(other, name) != getattr(first, name):
                     raise ScenarioError(f"scenarios of one batch must share {name}; {other.name} differs")
+            if len(other.profiles) != len(first.profiles) or (
+                len(first.profiles) > len(first.catalogue.types) and other.workload_path != first.workload_path
+            ):
+                raise ScenarioError(f"scenarios of one batch must share the requests' profiles; {other.name} differs")
             if scenario_rules(other) != scenario_rules(first):
                 raise ScenarioError(f"scenarios of one batch must share the rules of a step; {other.name} differs")
 
@@ -192,34 +198,52 @@ class Simulator:
         """Write the requests and failures of environment b's horizon without starting it."""
         scenario = self.scenario(b)
         workload.check_fits(len(scenario.catalogue.types), scenario.substrate.num_nodes, scenario.horizon)
+        workload.check_profiles(self.scenarios[0].profiles)
+        if workload.free_ends and not self.world.rules.free_ends:
+            raise ScenarioError(
+                "workload: has free ends, which no service of this scenario has; see services.NAME.ingress"
+            )
         if timeline is not None:
             timeline.check_fits(scenario.substrate)
         requests = len(workload.slot)
-        events = 0 if timeline is None else len(timeline.slot)
+        happens = _no_events() if timeline is None else self._padded_events(b, timeline)
+        events = len(happens[0])
         self._widen_arrivals(requests, events)
         arrivals, env = self.world.arrivals, self.world.env
         arrivals.slot[b, :requests] = workload.slot
-        arrivals.service[b, :requests] = workload.service
+        arrivals.profile[b, :requests] = workload.profile
         arrivals.ingress[b, :requests] = workload.ingress
         arrivals.egress[b, :requests] = workload.egress
         arrivals.lifetime[b, :requests] = np.minimum(workload.lifetime, np.finfo(np.float32).max)
         # Departures past the horizon are all alike; clipping keeps them within int32.
         arrivals.departure[b, :requests] = np.minimum(workload.departure, self.world.env["horizon"][b])
         shares = self._service_shares[b % len(self.scenarios)]
-        arrivals.service_share[b, :requests] = shares[workload.service, workload.ingress, workload.egress]
+        # A request with a free end is on no pair of nodes, so it reads as the first of its service.
+        free, first = (workload.ingress < 0) | (workload.egress < 0), (0, 0)
+        if scenario.endpoint_pairs is not None:
+            first = scenario.endpoint_pairs[workload.service, 0].T
+        ends = (np.where(free, one, end) for one, end in zip(first, (workload.ingress, workload.egress), strict=True))
+        arrivals.service_share[b, :requests] = shares[(workload.service, *ends)]
         env["num_requests"][b], env["num_events"][b] = requests, events
-        if timeline is not None:
-            arrivals.event_slot[b, :events] = timeline.slot
-            arrivals.event_resource[b, :events] = self._padded_resource(b, timeline.resource)
-            arrivals.event_up[b, :events] = timeline.up
+        arrivals.event_slot[b, :events], arrivals.event_resource[b, :events], arrivals.event_up[b, :events] = happens
 
-    def _padded_resource(self, b: int, resource: np.ndarray) -> np.ndarray:
-        """Resource indices of a scenario's own sizes as indices of the batch's padded sizes."""
+    def _padded_events(self, b: int, timeline: FailureTimeline) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slot, resource and whether it is a repair, with resources numbered by the batch's padded sizes.
+
+        With full duplex a link fails and is repaired in both directions.
+        """
         own_nodes, own_vms = self.scenario(b).substrate.vm_capacity.shape
-        _, nodes, vms = self.world.ledger.vm_offered.shape
+        _, nodes, vms, _ = self.world.ledger.vm_offered.shape
         first_link = count_vms(own_nodes, own_vms)
+        slot, resource, up = timeline.slot, timeline.resource, timeline.up
+        link, back = resource - first_link, np.zeros(len(resource), np.int64)
+        if self.tables.full_duplex:
+            times = np.where(link >= 0, 2, 1)
+            slot, resource, up, link = (np.repeat(column, times) for column in (slot, resource, up, link))
+            back = np.arange(len(link)) - np.repeat(np.cumsum(times) - times, times)
+            link = 2 * link + back
         as_vm = vm_resource(*split_vm(resource, own_vms), vms)
-        return np.where(resource >= first_link, link_resource(resource - first_link, nodes, vms), as_vm)
+        return slot, np.where(resource >= first_link, link_resource(link, nodes, vms), as_vm), up
 
     def _widen_arrivals(self, requests: int, events: int) -> None:
         arrivals = self.world.arrivals
@@ -251,6 +275,10 @@ class Simulator:
         arrays = [array for group in groups for array in group]
         arrays += [self.world.seen.mask, self.world.seen.valid, self.world.seen.flat, self.world.outcome]
         return sum(array.nbytes for array in arrays)
+
+
+def _no_events() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, np.bool_)
 
 
 def _wider_log(log, batch: int, requests: int):

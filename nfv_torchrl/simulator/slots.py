@@ -68,13 +68,23 @@ def open_slot(world, b):
 
 
 @part
+def used_vm_share(world, b):
+    """Used share of all VM capacity, the mean over the kinds of resources."""
+    total = 0.0
+    kinds = world.ledger.vm_used.shape[1]
+    for kind in range(kinds):
+        total += world.ledger.vm_used[b, kind] / world.tables.vm_total[world.env[b].net, kind]
+    return total / kinds
+
+
+@part
 def _close_slot(world, b):
     """End of a slot: its utilisation cost Phi_t and used shares count, unless it belongs to the warm-up."""
     tables, out, e = world.tables, world.outcome, world.env[b]
     if e.slot >= e.warmup:
         out[b, OUTCOME.slots_closed] += 1
         out[b, OUTCOME.slot_cost] += e.running_cost
-        out[b, OUTCOME.slot_vm_use] += e.vm_used / tables.vm_total[e.net]
+        out[b, OUTCOME.slot_vm_use] += used_vm_share(world, b)
         out[b, OUTCOME.slot_link_use] += e.link_used / tables.link_total[e.net]
     e.slot += 1
 
@@ -98,7 +108,8 @@ def next_request(world, b):
 @part
 def _begin_request(world, b):
     arrivals, e = world.arrivals, world.env[b]
-    e.service = arrivals.service[b, e.cursor]
+    e.profile = arrivals.profile[b, e.cursor]
+    e.service = world.tables.service[e.profile]
     e.ingress = arrivals.ingress[b, e.cursor]
     e.egress = arrivals.egress[b, e.cursor]
     e.lifetime = arrivals.lifetime[b, e.cursor]

@@ -10,13 +10,13 @@ from typing import NoReturn
 
 import numpy as np
 
-from nfv_torchrl.codec import count_actions, decode_action, link_resource, vm_resource
+from nfv_torchrl.codec import count_actions, count_vms, decode_action, link_resource, split_use, use_of, vm_resource
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
 from nfv_torchrl.simulator.state import OUTCOME, REQUEST, Arrivals, Ledger, Running, Walk, World
 from nfv_torchrl.simulator.steps import Step
 from nfv_torchrl.simulator.tables import Tables
-from nfv_torchrl.simulator.view import SHARE_LEVELS
+from nfv_torchrl.simulator.view import SHARE_LEVELS, demand_size
 
 REMEDY = "use a checkpoint that this scenario's run wrote"
 
@@ -103,11 +103,13 @@ def _check_request(world: World) -> None:
     require(e["done"] == (e["slot"] == e["horizon"]), "env.done", "does not go with the slot")
     live = e["done"] == 0
     require_range(e["cursor"], 0, e["num_requests"] - live, "env.cursor")
-    require_range(e["service"], 0, len(tables.rate) - 1, "env.service")
+    require_range(e["profile"], 0, len(tables.rate) - 1, "env.profile")
+    require(e["service"] == tables.service[e["profile"]], "env.service", "is not that of its profile")
+    free = -1 if world.rules.free_ends else 0
     for name in ("ingress", "egress", "node"):
-        require_range(e[name], 0, nodes, f"env.{name}")
+        require_range(e[name], free, nodes, f"env.{name}")
     require_range(e["last_vm"], 0, np.maximum(tables.vm_count[e["net"], e["node"]] - 1, 0), "env.last_vm")
-    require_range(e["function"], 0, tables.chain_length[e["service"]], "env.function")
+    require_range(e["function"], 0, tables.chain_length[e["profile"]], "env.function")
     require_range(e["steps"], 0, world.rules.max_steps, "env.steps")
     require_range(e["hops"], 0, e["steps"], "env.hops")
     require_range(e["request_slot"], 0, e["slot"], "env.request_slot")
@@ -135,7 +137,7 @@ def _check_outcome(world: World) -> None:
         OUTCOME.accepted: (0, 1),
         OUTCOME.done: (0, e["done"]),
         OUTCOME.reason: (NO_REASON, len(REASON_NAMES) - 1),
-        OUTCOME.service: (0, len(world.tables.rate) - 1),
+        OUTCOME.service: (0, world.tables.services - 1),
         OUTCOME.request_slot: (0, e["horizon"] - 1),
         OUTCOME.request_hops: (0, world.rules.max_steps),
         OUTCOME.slots_closed: (0, e["horizon"]),
@@ -153,35 +155,37 @@ def _check_outcome(world: World) -> None:
 def _check_failures(world: World) -> None:
     """The event cursor, and which resources have failed, as the timeline has it up to the current slot."""
     e, arrivals, ledger = world.env, world.arrivals, world.ledger
-    failed = np.zeros((len(e), _capacity(world).shape[1]), np.bool_)
+    vms = ledger.vm_failed[0].size
+    failed = np.zeros((len(e), vms + ledger.link_failed.shape[1]), np.bool_)
     for b, (slot, horizon, events) in enumerate(zip(e["slot"], e["horizon"], e["num_events"], strict=True)):
         waiting = np.flatnonzero(arrivals.event_slot[b, :events] > min(slot, horizon - 1))
         past = int(waiting[0]) if len(waiting) else int(events)
         if e["event_cursor"][b] != past:
             refuse(f"env.event_cursor of environment {b}", f"is {e['event_cursor'][b]}, not {past}")
         failed[b, arrivals.event_resource[b, :past]] = ~arrivals.event_up[b, :past]  # the last of several counts
-    vms = ledger.vm_failed[0].size
     for name, expected in (("vm_failed", failed[:, :vms]), ("link_failed", failed[:, vms:])):
         flags = getattr(ledger, name)
         require(flags == expected.reshape(flags.shape), f"ledger.{name}", "is not what the failures led to")
 
 
-def retrace(tables: Tables, net: int, service: int, ingress: int, actions: np.ndarray) -> list[Step] | None:
-    """The steps of ``actions`` int [steps] from ``ingress``; None where a walk cannot go like that."""
-    _, nodes, vms = tables.vm_capacity.shape
+def retrace(tables: Tables, net: int, profile: int, ingress: int, actions: np.ndarray) -> list[Step] | None:
+    """The steps of ``actions`` int [steps] from ``ingress`` (-1: free); None where a walk cannot go like that."""
+    _, nodes, vms, _ = tables.vm_capacity.shape
     at, functions, steps = ingress, 0, []
     for action in actions.tolist():
         node, vm, place = decode_action(action, vms)
         if not 0 <= action < count_actions(nodes, vms) - 1 or node >= tables.num_nodes[net]:
             return None
         link = -1
-        if node != at:
+        if at < 0 and not place:
+            return None
+        if node != at and at >= 0:
             around = np.flatnonzero(tables.neighbour[net, at, : tables.degree[net, at]] == node)
             if not len(around):
                 return None
             link = int(tables.neighbour_link[net, at, around[0]])
         functions += place
-        if functions > tables.chain_length[service] or (place and vm >= tables.vm_count[net, node]):
+        if functions > tables.chain_length[profile] or (place and vm >= tables.vm_count[net, node]):
             return None
         steps.append(Step(link, node, vm, place))
         at = node
@@ -189,25 +193,25 @@ def retrace(tables: Tables, net: int, service: int, ingress: int, actions: np.nd
 
 
 def _check_walks(world: World) -> np.ndarray:
-    """Walks in progress, step by step from the ingress. Returns what they reserve, int64 [B, N V + L]."""
+    """Walks in progress, step by step from the ingress. Returns what they reserve, int64 [B, N V R + L]."""
     e, walk, tables = world.env, world.walk, world.tables
     taken = np.zeros(_capacity(world).shape, np.int64)
-    _, nodes, vms = tables.vm_capacity.shape
+    _, nodes, vms, _ = tables.vm_capacity.shape
     for b in range(len(e)):
         if e["done"][b]:
             if e["entries"][b]:
                 refuse(f"env.entries of environment {b}", "is not 0 after the end of the horizon")
             continue
-        net, service, ingress = (int(e[name][b]) for name in ("net", "service", "ingress"))
-        steps = retrace(tables, net, service, ingress, walk.action[b, : e["steps"][b]])
+        net, profile, ingress = (int(e[name][b]) for name in ("net", "profile", "ingress"))
+        steps = retrace(tables, net, profile, ingress, walk.action[b, : e["steps"][b]])
         if steps is None:
             refuse(f"walk.action of environment {b}", "is no walk in this network")
         entries, function = [], 0
         for step in steps:
             if step.link >= 0:
-                entries.append((link_resource(step.link, nodes, vms), tables.rate_units[service]))
+                entries.append((link_resource(step.link, nodes, vms), function))
             if step.places:
-                entries.append((vm_resource(step.node, step.vm, vms), tables.load_units[service, function]))
+                entries.append((vm_resource(step.node, step.vm, vms), function))
                 function += 1
         last = steps[-1] if steps else Step(-1, ingress, 0, False)
         hops = sum(step.link >= 0 for step in steps)
@@ -215,17 +219,34 @@ def _check_walks(world: World) -> np.ndarray:
         for name, value in expected.items():
             if e[name][b] != value:
                 refuse(f"env.{name} of environment {b}", f"is {e[name][b]}, but its walk leads to {value}")
-        for k, (resource, amount) in enumerate(entries):
-            if walk.resource[b, k] != resource or walk.amount[b, k] != amount:
-                refuse(f"walk.resource of environment {b}", "and walk.amount are not what its walk reserves")
-            taken[b, resource] += amount
+        for k, (resource, part) in enumerate(entries):
+            if walk.resource[b, k] != resource or walk.use[b, k] != use_of(profile, part, tables.load.shape[1]):
+                refuse(f"walk.resource of environment {b}", "and walk.use are not what its walk reserves")
+        resource, part = np.array(entries, np.int64).reshape(-1, 2).T
+        rows = np.full(len(entries), b)
+        _add_uses(tables, taken, rows, resource, np.full(len(entries), profile), part)
     return taken
 
 
+def _add_uses(
+    tables: Tables, taken: np.ndarray, row: np.ndarray, resource: np.ndarray, profile: np.ndarray, part: np.ndarray
+) -> None:
+    """Add to ``taken`` int64 [B, N V R + L] what the parts of requests take of resources, int64 [n] each."""
+    _, nodes, vms, kinds = tables.vm_capacity.shape
+    first_link = count_vms(nodes, vms)
+    on_link = resource >= first_link
+    amount = tables.rate_units[profile[on_link], part[on_link]]
+    np.add.at(taken, (row[on_link], kinds * first_link + resource[on_link] - first_link), amount)
+    on_vm = ~on_link
+    for kind in range(kinds):
+        amount = tables.load_units[profile[on_vm], part[on_vm], kind]
+        np.add.at(taken, (row[on_vm], kinds * resource[on_vm] + kind), amount)
+
+
 def _check_running(world: World) -> np.ndarray:
-    """The pools: every place in one chain or free. Returns what running requests reserve, int64 [B, N V + L]."""
+    """The pools: every place in one chain or free. Returns what running requests reserve, int64 [B, N V R + L]."""
     e, running, arrivals = world.env, world.running, world.arrivals
-    batch, records = running.record_next.shape
+    records = running.record_next.shape[1]
     require_range(e["free_record"], 0, records - 1, "env.free_record")
     require_range(e["free_entry"], 0, running.entry_next.shape[1] - 1, "env.free_entry")
     free = np.stack([e["free_record"], *running.head.T.astype(np.int64)], 1)
@@ -248,23 +269,43 @@ def _check_running(world: World) -> np.ndarray:
         "is negative or no finite number",
     )
     heads = np.concatenate([e["free_entry"][:, None], np.where(in_use, running.record_entry, -1)], 1)
-    reserved = _trace(running.entry_next, heads, "running.entry_next", "running.record_entry") > 0
-    _check_counts(e, "free_entries", None, reserved, 2 * world.rules.max_steps)
-    capacity = _capacity(world)
+    chain = _trace(running.entry_next, heads, "running.entry_next", "running.record_entry")
+    _check_counts(e, "free_entries", None, chain > 0, 2 * world.rules.max_steps)
+    return _check_entries(world, request, chain)
+
+
+def _check_entries(world: World, request: np.ndarray, chain: np.ndarray) -> np.ndarray:
+    """What running requests hold is theirs to hold. Returns it, int64 [B, N V R + L].
+
+    ``request`` int [B, records]: the request of each record; ``chain`` int [B, entries]: 0 where a place is free, else
+    its record's number plus one.
+    """
+    reserved = chain > 0
+    e, running, tables = world.env, world.running, world.tables
+    batch, records = request.shape
+    _, nodes, vms, _ = tables.vm_capacity.shape
+    first_link = count_vms(nodes, vms)
+    resources = first_link + tables.link_capacity.shape[1]
     require(
-        ((running.entry_resource >= 0) & (running.entry_resource < capacity.shape[1])) | ~reserved,
+        ((running.entry_resource >= 0) & (running.entry_resource < resources)) | ~reserved,
         "running.entry_resource",
         "is no resource",
     )
+    record = np.clip(chain - 1, 0, records - 1)
+    profile = world.arrivals.profile[np.arange(batch)[:, None], np.take_along_axis(request, record, 1)].astype(np.int64)
     resource = np.where(reserved, running.entry_resource, 0)
-    room = np.take_along_axis(capacity, resource, 1)
-    require(
-        ((running.entry_amount >= 0) & (running.entry_amount <= room) & (room > 0)) | ~reserved,
-        "running.entry_amount",
-        "is more than the resource has",
+    own, part = split_use(np.where(reserved, running.entry_use, 0).astype(np.int64), tables.load.shape[1])
+    fits = (own == profile) & (part <= tables.chain_length[profile] - (resource < first_link))
+    require(fits | ~reserved, "running.entry_use", "is no function or segment of its request")
+    capacity = np.concatenate(
+        [tables.vm_capacity[e["net"]][..., 0].reshape(batch, -1), tables.link_capacity[e["net"]]], 1
     )
-    taken = np.zeros(capacity.shape, np.int64)
-    np.add.at(taken, (np.arange(batch)[:, None], resource), np.where(reserved, running.entry_amount, 0))
+    require(
+        (np.take_along_axis(capacity, resource, 1) > 0) | ~reserved, "running.entry_resource", "is not in this network"
+    )
+    taken = np.zeros(_capacity(world).shape, np.int64)
+    row = np.broadcast_to(np.arange(batch)[:, None], reserved.shape)[reserved]
+    _add_uses(tables, taken, row, resource[reserved].astype(np.int64), profile[reserved], part[reserved])
     return taken
 
 
@@ -301,7 +342,7 @@ def _trace(following: np.ndarray, heads: np.ndarray, name: str, starts: str) -> 
 
 
 def _capacity(world: World) -> np.ndarray:
-    """Capacities of VMs and links, int64 [B, N V + L] in ledger units; 0 where there is none."""
+    """Capacities of VMs and links, int64 [B, N V R + L] in ledger units; 0 where there is none."""
     tables, net = world.tables, world.env["net"]
     return np.concatenate([tables.vm_capacity[net].reshape(len(net), -1), tables.link_capacity[net]], 1)
 
@@ -312,18 +353,21 @@ def _check_capacities(world: World) -> None:
     for kind, capacity in (("vm", tables.vm_capacity), ("link", tables.link_capacity)):
         reserved, offered, failed = (getattr(ledger, f"{kind}_{name}") for name in ("reserved", "offered", "failed"))
         require((reserved >= 0) & (offered >= 0), f"ledger.{kind}_reserved", f"or {kind}_offered is negative")
+        failed = failed if kind == "link" else failed[..., None]
         made_up = np.where(failed, offered == 0, reserved + offered == capacity[net])
         require(made_up, f"ledger.{kind}_offered", "and what is reserved do not make up this network's capacities")
 
 
 def _check_books(world: World, taken: np.ndarray) -> None:
-    """The ledger holds what walks and running requests have ``taken`` int64 [B, N V + L], no more and no less."""
+    """The ledger holds what walks and running requests have ``taken`` int64 [B, N V R + L], no more and no less."""
     e, ledger = world.env, world.ledger
-    vms = ledger.vm_reserved[0].size
+    vms, kinds = ledger.vm_reserved[0].size, ledger.vm_used.shape[1]
     for kind, amounts in (("vm", taken[:, :vms]), ("link", taken[:, vms:])):
         reserved = getattr(ledger, f"{kind}_reserved").reshape(len(e), -1)
         require(reserved == amounts, f"ledger.{kind}_reserved", "is not what walks and running requests hold")
-        require(e[f"{kind}_used"] == amounts.sum(1), f"env.{kind}_used", "is not the sum of what is reserved")
+    by_kind = taken[:, :vms].reshape(len(e), -1, kinds).sum(1)
+    require(ledger.vm_used == by_kind, "ledger.vm_used", "is not the sum of what is reserved")
+    require(e["link_used"] == taken[:, vms:].sum(1), "env.link_used", "is not the sum of what is reserved")
 
 
 def _check_flat(world: World) -> None:
@@ -336,32 +380,35 @@ def _check_flat(world: World) -> None:
     shares = (capacity - offered) * SHARE_LEVELS // np.where(exists, capacity, 1) / SHARE_LEVELS
     base = capacity.shape[1]
     require(flat[:, :base] == np.where(exists, shares, 0).astype(np.float32), "seen.flat", "is not what the books say")
-    _, nodes, vms = tables.vm_capacity.shape
-    services, functions = tables.load.shape
+    _, nodes, vms, kinds = tables.vm_capacity.shape
+    services, functions = tables.services, tables.load.shape[1]
     numbers = (
         e["service_share"],
         e["node"] / max(nodes - 1, 1),
         e["last_vm"] / max(vms - 1, 1),
         e["function"] / functions,
-        e["elapsed"] / tables.tolerable_delay[e["service"]],
+        e["elapsed"] / tables.tolerable_delay[e["profile"]],
     )
     live = e["done"] == 0
     for place, values in enumerate(numbers, start=base):
         # After the horizon's end the last request's are shown, of a step that was not its last.
         there = flat[:, place]
-        shown = np.where(live, there == values.astype(np.float32), (there >= 0) & (there < 2))
+        shown = np.where(live, there == values.astype(np.float32), (there >= -1) & (there < 2))
         require(shown, "seen.flat", "is not what the walk says")
     first = base + 5
-    ones = np.zeros((batch, flat.shape[1] - first), np.float32)
+    end = flat.shape[1] - (demand_size(functions, kinds) if world.seen.demand else 0)
+    ones = np.zeros((batch, end - first), np.float32)
     blocks = {"service": services, "node": nodes, "egress": nodes, "function": functions + 1}
     for name, size in blocks.items():
         hot, at = e[f"hot_{name}"], e[name]
         if world.seen.one_hot:
             inside = (hot >= first) & (hot < first + size)
-            require(np.where(live, hot == first + at, inside | (hot == -1)), f"env.hot_{name}", "is not its place")
+            place = np.where(at < 0, -1, first + at)  # what is free, or off the network, is nowhere
+            require(np.where(live, hot == place, inside | (hot == -1)), f"env.hot_{name}", "is not its place")
             rows = np.flatnonzero(inside)
             ones[rows, hot[rows] - base - 5] = 1.0
             first += size
         else:
             require(hot == -1, f"env.hot_{name}", "is set without one-hot features")
-    require(flat[:, base + 5 :] == ones, "seen.flat", "has ones elsewhere than at the request's places")
+    require(flat[:, base + 5 : end] == ones, "seen.flat", "has ones elsewhere than at the request's places")
+    require((flat[:, end:] >= 0) & (flat[:, end:] <= 1), "seen.flat", "has a demand that is no share")

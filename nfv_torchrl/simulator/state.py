@@ -15,7 +15,7 @@ from nfv_torchrl.codec import count_actions, count_vms
 from nfv_torchrl.columns import columns
 from nfv_torchrl.simulator.compiled import records
 from nfv_torchrl.simulator.tables import Rules, Tables
-from nfv_torchrl.simulator.view import AT
+from nfv_torchrl.simulator.view import AT, demand_size
 
 ENV_DTYPE = np.dtype(
     [
@@ -25,15 +25,16 @@ ENV_DTYPE = np.dtype(
         ("warmup", "i8"),  # first slot that counts in slot statistics
         ("cursor", "i8"),  # request being handled
         ("num_requests", "i8"),
-        ("service", "i8"),  # that request, copied here since its arrays are far away in memory
-        ("ingress", "i8"),
+        ("profile", "i8"),  # that request, copied here since its arrays are far away in memory
+        ("service", "i8"),
+        ("ingress", "i8"),  # -1: free
         ("egress", "i8"),
         ("lifetime", "f8"),
         ("service_share", "f8"),
         ("request_slot", "i8"),
         ("event_cursor", "i8"),  # next failure or repair
         ("num_events", "i8"),
-        ("node", "i8"),  # the walk: current node, VM, functions placed, steps, links used
+        ("node", "i8"),  # the walk: current node (-1: off the network), VM, functions placed, steps, links used
         ("last_vm", "i8"),
         ("function", "i8"),
         ("steps", "i8"),
@@ -44,8 +45,7 @@ ENV_DTYPE = np.dtype(
         ("mask_count", "i8"),  # valid actions
         ("running_cost", "f8"),  # $, sum of phi over running requests
         ("num_running", "i8"),
-        ("vm_used", "i8"),  # ledger units reserved over all VMs, over all links
-        ("link_used", "i8"),
+        ("link_used", "i8"),  # ledger units reserved over all links
         ("free_record", "i8"),  # heads of the free lists, and how many are left
         ("free_records", "i8"),
         ("free_entry", "i8"),
@@ -63,8 +63,9 @@ ENV_DTYPE = np.dtype(
 class Ledger(NamedTuple):
     """Books of every resource in ledger units; reserved + offered = capacity unless the resource has failed."""
 
-    vm_reserved: np.ndarray  # int64 [B, N, V]
-    vm_offered: np.ndarray  # int64 [B, N, V], 0 while failed
+    vm_reserved: np.ndarray  # int64 [B, N, V, R]
+    vm_offered: np.ndarray  # int64 [B, N, V, R], 0 while failed
+    vm_used: np.ndarray  # int64 [B, R], reserved over all VMs
     vm_failed: np.ndarray  # bool [B, N, V]
     link_reserved: np.ndarray  # int64 [B, L]
     link_offered: np.ndarray  # int64 [B, L], 0 while failed
@@ -75,7 +76,7 @@ class Arrivals(NamedTuple):
     """Requests in arrival order and failure events in the order applied; rows beyond an env's own count are unused."""
 
     slot: np.ndarray  # int32 [B, R]
-    service: np.ndarray  # int16 [B, R]
+    profile: np.ndarray  # int32 [B, R]
     ingress: np.ndarray  # int16 [B, R]
     egress: np.ndarray  # int16 [B, R]
     departure: np.ndarray  # int32 [B, R]
@@ -100,7 +101,7 @@ class Running(NamedTuple):
     record_cost: np.ndarray  # float64 [B, records]
     entry_next: np.ndarray  # int32 [B, entries]
     entry_resource: np.ndarray  # int32 [B, entries], see ``codec``
-    entry_amount: np.ndarray  # int64 [B, entries]
+    entry_use: np.ndarray  # int32 [B, entries], function on a VM or segment on a link, see ``use_of``
 
 
 class Walk(NamedTuple):
@@ -108,7 +109,7 @@ class Walk(NamedTuple):
 
     action: np.ndarray  # int32 [B, J]
     resource: np.ndarray  # int32 [B, 2 J]
-    amount: np.ndarray  # int64 [B, 2 J]
+    use: np.ndarray  # int32 [B, 2 J], function on a VM or segment on a link, see ``use_of``
 
 
 class View(NamedTuple):
@@ -117,7 +118,8 @@ class View(NamedTuple):
     mask: np.ndarray  # bool [B, A + 1]
     valid: np.ndarray  # int32 [B, A + 1], the valid actions, first ``mask_count`` entries
     flat: np.ndarray  # float32 [B, P]
-    one_hot: bool  # whether ``flat`` ends with one-hot service type, node, egress and function index
+    one_hot: bool  # whether ``flat`` goes on with one-hot service type, node, egress and function index
+    demand: bool  # whether ``flat`` ends with what the request asks for: where requests bring profiles of their own
 
 
 class Log(NamedTuple):
@@ -173,9 +175,18 @@ class Outcome(NamedTuple):
 OUTCOME = columns(Outcome)
 
 
-def flat_size(nodes: int, vms: int, links: int, services: int, functions: int, one_hot: bool) -> int:
-    """P_i of the paper (section VI): N V + L + 5, and the one-hot features when they are on."""
-    return count_vms(nodes, vms) + links + len(AT) + (services + 2 * nodes + functions + 1 if one_hot else 0)
+def flat_size(tables: Tables, one_hot: bool) -> int:
+    """P_i of the paper (section VI): N V R + L + 5, the one-hot features when they are on, and demands."""
+    _, nodes, vms, kinds = tables.vm_capacity.shape
+    _, functions, _ = tables.load.shape
+    size = kinds * count_vms(nodes, vms) + tables.link_capacity.shape[1] + len(AT)
+    size += tables.services + 2 * nodes + functions + 1 if one_hot else 0
+    return size + (demand_size(functions, kinds) if shows_demand(tables) else 0)
+
+
+def shows_demand(tables: Tables) -> bool:
+    """Whether there are profiles beside the services': then a request's type does not tell what it asks for."""
+    return len(tables.service) > tables.services
 
 
 def new_world(
@@ -183,9 +194,8 @@ def new_world(
 ) -> World:
     """An idle world of ``len(net)`` environments; environment b lives on row ``net[b]`` of ``tables``."""
     batch = len(net)
-    _, nodes, vms = tables.vm_capacity.shape
+    _, nodes, vms, kinds = tables.vm_capacity.shape
     links = tables.link_capacity.shape[1]
-    services, functions = tables.load.shape
     actions = count_actions(nodes, vms)
     env = records(batch, ENV_DTYPE)
     env["net"], env["horizon"], env["warmup"] = net, horizon, warmup
@@ -195,8 +205,9 @@ def new_world(
         env=env,
         mean_lifetime=np.zeros(batch),
         ledger=Ledger(
-            vm_reserved=np.zeros((batch, nodes, vms), np.int64),
+            vm_reserved=np.zeros((batch, nodes, vms, kinds), np.int64),
             vm_offered=tables.vm_capacity[net].copy(),
+            vm_used=np.zeros((batch, kinds), np.int64),
             vm_failed=np.zeros((batch, nodes, vms), np.bool_),
             link_reserved=np.zeros((batch, links), np.int64),
             link_offered=tables.link_capacity[net].copy(),
@@ -207,13 +218,14 @@ def new_world(
         walk=Walk(
             action=np.zeros((batch, rules.max_steps), np.int32),
             resource=np.zeros((batch, 2 * rules.max_steps), np.int32),
-            amount=np.zeros((batch, 2 * rules.max_steps), np.int64),
+            use=np.zeros((batch, 2 * rules.max_steps), np.int32),
         ),
         seen=View(
             mask=np.zeros((batch, actions), np.bool_),
             valid=np.zeros((batch, actions), np.int32),
-            flat=np.zeros((batch, flat_size(nodes, vms, links, services, functions, one_hot)), np.float32),
+            flat=np.zeros((batch, flat_size(tables, one_hot)), np.float32),
             one_hot=one_hot,
+            demand=shows_demand(tables),
         ),
         log=new_log(batch, 1, record),
         outcome=np.zeros((batch, len(OUTCOME))),
@@ -224,7 +236,7 @@ def new_arrivals(batch: int, requests: int, events: int) -> Arrivals:
     """Empty arrays for ``requests`` requests and ``events`` failure events per environment."""
     return Arrivals(
         slot=np.zeros((batch, requests), np.int32),
-        service=np.zeros((batch, requests), np.int16),
+        profile=np.zeros((batch, requests), np.int32),
         ingress=np.zeros((batch, requests), np.int16),
         egress=np.zeros((batch, requests), np.int16),
         departure=np.zeros((batch, requests), np.int32),
@@ -269,7 +281,7 @@ def _new_running(batch: int, horizon: int, records: int, entries: int) -> Runnin
         record_cost=np.zeros((batch, records)),
         entry_next=np.zeros((batch, entries), np.int32),
         entry_resource=np.zeros((batch, entries), np.int32),
-        entry_amount=np.zeros((batch, entries), np.int64),
+        entry_use=np.zeros((batch, entries), np.int32),
     )
 
 

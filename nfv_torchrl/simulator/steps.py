@@ -50,14 +50,28 @@ def vm_delay(load, speed):
 
 
 @inlined
+def hop_delay(tables, net, profile, segment, link):
+    """ms of a hop over ``link`` by the ``segment`` of a profile."""
+    return link_delay(tables.link_delay[net, link], tables.rate[profile, segment], tables.link_speed[net, link])
+
+
+@inlined
+def place_delay(tables, e, node, vm):
+    """ms that the next function of the request in hand takes on a VM."""
+    work = vm_delay(tables.work[e.profile, e.function], tables.vm_speed[e.net, node, vm])
+    return tables.fixed_delay[e.profile, e.function] + work
+
+
+@inlined
 def step_cost(tables, e, step):
     """phi~ of a step of the request that environment record ``e`` is at, $."""
     cost = 0.0
     if step.link >= 0:
-        cost += link_cost(tables.link_unit_cost[e.net, step.link], tables.rate[e.service])
+        cost += link_cost(tables.link_unit_cost[e.net, step.link], tables.rate[e.profile, e.function])
     if step.places:
-        unit_cost = tables.vm_unit_cost[e.net, step.node, step.vm]
-        cost += vm_cost(unit_cost, tables.load[e.service, e.function])
+        for kind in range(tables.load.shape[2]):
+            unit_cost = tables.vm_unit_cost[e.net, step.node, step.vm, kind]
+            cost += vm_cost(unit_cost, tables.load[e.profile, e.function, kind])
     return cost
 
 
@@ -66,9 +80,9 @@ def step_delay(tables, e, step):
     """Delay of the same step, ms."""
     delay = 0.0
     if step.link >= 0:
-        delay += tables.hop_delay[e.net, e.service, step.link]
+        delay += hop_delay(tables, e.net, e.profile, e.function, step.link)
     if step.places:
-        delay += vm_delay(tables.load[e.service, e.function], tables.vm_speed[e.net, step.node, step.vm])
+        delay += place_delay(tables, e, step.node, step.vm)
     return delay
 
 
@@ -76,9 +90,19 @@ def step_delay(tables, e, step):
 def step_fits(world, b, step):
     """(whether the link, whether the VM of a step of environment b has room for what the step takes)."""
     tables, ledger, e = world.tables, world.ledger, world.env[b]
-    link = step.link < 0 or fits(ledger.link_offered[b, step.link], tables.rate_units[e.service])
-    vm = not step.places or fits(ledger.vm_offered[b, step.node, step.vm], tables.load_units[e.service, e.function])
+    link = step.link < 0 or fits(ledger.link_offered[b, step.link], tables.rate_units[e.profile, e.function])
+    vm = True
+    if step.places:
+        for kind in range(tables.load_units.shape[2]):
+            asked = tables.load_units[e.profile, e.function, kind]
+            vm = vm and fits(ledger.vm_offered[b, step.node, step.vm, kind], asked)
     return link, vm
+
+
+@inlined
+def is_complete(tables, e):
+    """Whether the walk of the request in hand has nothing left to do."""
+    return e.function == tables.chain_length[e.profile] and (e.egress < 0 or e.node == e.egress)
 
 
 @inlined

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+from numba.extending import register_jitable
+
 from nfv_torchrl.codec import count_vms
 from nfv_torchrl.columns import columns
-from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.compiled import inlined, part
 
 
 class RequestNumbers(NamedTuple):
@@ -25,37 +28,72 @@ SHARE_LEVELS = 1000
 """I: levels of the used share in the observation."""
 
 
-@part
-def show_share(flat, b, resource, capacity, offered):
-    """Used share of a resource in the observation: floor(I (capacity - offered) / capacity) / I."""
-    flat[b, resource] = ((capacity - offered) * SHARE_LEVELS // capacity) / SHARE_LEVELS
+@inlined
+def show_share(flat, b, place, capacity, offered):
+    """Used share of a resource at its ``place`` in the observation: floor(I (capacity - offered) / capacity) / I."""
+    flat[b, place] = ((capacity - offered) * SHARE_LEVELS // capacity) / SHARE_LEVELS
 
 
 @part
-def _move_one(flat, b, old, new):
+def _move_one(flat, b, old, first, at):
+    """Put the one of a one-hot block that begins at ``first`` to ``at``, nowhere when that is negative."""
     if old >= 0:
         flat[b, old] = 0.0
-    flat[b, new] = 1.0
-    return new
+    if at < 0:
+        return np.int64(-1)
+    flat[b, first + at] = 1.0
+    return first + at
 
 
 @part
 def show_request(world, b):
-    """The five numbers of the request in the flat observation and, when on, the one-hot features after them."""
+    """The five numbers of the request in the flat observation and, when on, the one-hot features after them.
+
+    Off the network, before a request with a free ingress has taken its first step, the node shows as -1 / (N - 1).
+    """
     tables, e = world.tables, world.env[b]
     flat = world.seen.flat
-    _, nodes, vms = world.ledger.vm_offered.shape
-    services, functions = tables.load.shape
-    base = count_vms(nodes, vms) + world.ledger.link_offered.shape[1]
-    service = e.service
+    _, nodes, vms, kinds = world.ledger.vm_offered.shape
+    functions = tables.load.shape[1]
+    base = kinds * count_vms(nodes, vms) + world.ledger.link_offered.shape[1]
     flat[b, base + AT.service] = e.service_share
     flat[b, base + AT.node] = e.node / max(nodes - 1, 1)
     flat[b, base + AT.vm] = e.last_vm / max(vms - 1, 1)
     flat[b, base + AT.function] = e.function / functions
-    flat[b, base + AT.delay] = e.elapsed / tables.tolerable_delay[service]
+    flat[b, base + AT.delay] = e.elapsed / tables.tolerable_delay[e.profile]
+    base += len(AT)
     if world.seen.one_hot:
-        base += len(AT)
-        e.hot_service = _move_one(flat, b, e.hot_service, base + service)
-        e.hot_node = _move_one(flat, b, e.hot_node, base + services + e.node)
-        e.hot_egress = _move_one(flat, b, e.hot_egress, base + services + nodes + e.egress)
-        e.hot_function = _move_one(flat, b, e.hot_function, base + services + 2 * nodes + e.function)
+        services = tables.services
+        e.hot_service = _move_one(flat, b, e.hot_service, base, e.service)
+        e.hot_node = _move_one(flat, b, e.hot_node, base + services, e.node)
+        e.hot_egress = _move_one(flat, b, e.hot_egress, base + services + nodes, e.egress)
+        e.hot_function = _move_one(flat, b, e.hot_function, base + services + 2 * nodes, e.function)
+    if world.seen.demand and e.steps == 0:
+        _show_demand(world, b, flat.shape[1] - demand_size(functions, kinds))
+
+
+@part
+def _show_demand(world, b, base):
+    """What the request asks for, as shares: ``demand_size`` numbers from ``base`` on."""
+    tables, e = world.tables, world.env[b]
+    flat = world.seen.flat
+    _, functions, kinds = tables.load.shape
+    for f in range(functions):
+        for kind in range(kinds):
+            flat[b, base + f * kinds + kind] = tables.load[e.profile, f, kind] / tables.largest_amount[kind]
+    base += functions * kinds
+    for f in range(functions):
+        # Delays beyond 100 ms are all but 1; what does not tolerate any delay is 0.
+        flat[b, base + f] = 1.0 - 1.0 / (1.0 + tables.fixed_delay[e.profile, f] / 100.0)
+    base += functions
+    for segment in range(functions + 1):
+        flat[b, base + segment] = tables.rate[e.profile, segment] / tables.largest_rate
+    base += functions + 1
+    flat[b, base] = tables.chain_length[e.profile] / functions
+    flat[b, base + 1] = 1.0 / (1.0 + tables.tolerable_delay[e.profile] / 100.0)
+
+
+@register_jitable
+def demand_size(functions, kinds):
+    """Numbers that tell what a request asks for: F R amounts, F delays, F + 1 rates, chain length, tolerable delay."""
+    return functions * (kinds + 2) + 3

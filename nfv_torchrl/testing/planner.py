@@ -42,7 +42,7 @@ def check_planner(planner: Planner, *, scenario: Scenario | None = None, seed: i
 
         check_planner(ReservePlanner())
     """
-    for colocation in (False, True):
+    for colocation in (False, True) if scenario is None or scenario.placement is None else (False,):
         world = scenario.replace(colocation=colocation) if scenario else full_scenario(colocation=colocation)
         method = PlannerMethod(planner, name="checked")
         _play(planner, scenario_for(world, method), seed)

@@ -148,7 +148,8 @@ def step_kinds(record: RunRecord) -> np.ndarray:
     """What every step of every walk is, int64 [steps], places in ``STEPS``; what is no action counts as a refusal."""
     before = np.r_[-1, record.step_node[:-1]]
     some = np.diff(record.step_offsets) > 0
-    before[record.step_offsets[:-1][some]] = record.workload.ingress[some]
+    first, ingress = record.step_offsets[:-1][some], record.workload.ingress[some]
+    before[first] = np.where(ingress < 0, record.step_node[first], ingress)  # a free ingress: no hop leads there
     kinds = np.where(record.step_function == FORWARD, 1, np.where(record.step_node == before, 2, 0))
     kinds[record.step_node <= REJECT] = 3
     return kinds.astype(np.int64)

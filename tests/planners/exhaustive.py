@@ -30,10 +30,17 @@ class Case(NamedTuple):
     def world(self) -> World:
         """One environment at this request, on this network."""
         made = new_world(self.tables, self.rules, np.zeros(1, np.int64), 1, 0, False, False)
-        made.ledger.vm_offered[0], made.ledger.link_offered[0] = self.vm_offered, self.link_offered
+        made.ledger.vm_offered[0, :, :, 0], made.ledger.link_offered[0] = self.vm_offered, self.link_offered
+        made.env["profile"] = self.service
         for name in ("service", "ingress", "egress"):
             made.env[name] = getattr(self, name)
         return made
+
+
+def hop_delays(case: Case) -> list[float]:
+    """ms of a hop over each link."""
+    tables, rate = case.tables, case.tables.rate[case.service, 0]
+    return (tables.link_delay[0] + 1000.0 * rate / tables.link_speed[0]).tolist()
 
 
 def tight_case(seed: int, colocation: bool) -> Case:
@@ -54,9 +61,9 @@ def tight_case(seed: int, colocation: bool) -> Case:
     chain = tuple(rng.choice(list(LOADS), size=rng.integers(1, 5)).tolist())
     tolerable = float(rng.choice([1500.0, 2500.0, 4000.0, 8000.0]))
     tables = build_tables([substrate], ServiceCatalogue((ServiceType("tight", chain, 4.0, tolerable),), LOADS))
-    exists = tables.vm_capacity[0] > 0
+    exists = tables.vm_capacity[0, :, :, 0] > 0
     vm_offered = np.where(exists, rng.integers(0, 8_000_000, exists.shape), 0)
-    vm_offered = np.minimum(vm_offered, tables.vm_capacity[0])
+    vm_offered = np.minimum(vm_offered, tables.vm_capacity[0, :, :, 0])
     # 5 Mbit/s carry one crossing of 4, not two.
     link_offered = rng.choice([0, 5_000_000, 5_000_000, 8_000_000], size=substrate.num_links)
     ingress, egress = rng.choice(nodes, 2, replace=False).tolist()
@@ -67,11 +74,11 @@ def tight_case(seed: int, colocation: bool) -> Case:
 def cheapest_by_trying(case: Case) -> float:
     """Cost of the cheapest walk the step checks let through, inf if there is none: depth first over all walks."""
     tables, rules = case.tables, case.rules
-    rate_units, rate = int(tables.rate_units[case.service]), float(tables.rate[case.service])
+    rate_units, rate = int(tables.rate_units[case.service, 0]), float(tables.rate[case.service, 0])
     chain = int(tables.chain_length[case.service])
-    load, load_units = tables.load[case.service].tolist(), tables.load_units[case.service].tolist()
+    load, load_units = tables.load[case.service, :, 0].tolist(), tables.load_units[case.service, :, 0].tolist()
     budget = float(tables.tolerable_delay[case.service]) + 1e-9
-    hop_delay = tables.hop_delay[0, case.service].tolist()
+    hop_delay = hop_delays(case)
     around = [[] for _ in range(int(tables.num_nodes[0]))]
     for link, (u, v) in enumerate(tables.link_ends[0, : tables.num_links[0]].tolist()):
         around[u].append((v, link))
@@ -112,7 +119,7 @@ def cheapest_by_trying(case: Case) -> float:
                     if vms[there][vm] < load_units[i] or delay + (hop + took) > budget:
                         continue
                     vms[there][vm] -= load_units[i]
-                    price = float(tables.vm_unit_cost[0, there, vm]) * load[i]
+                    price = float(tables.vm_unit_cost[0, there, vm, 0]) * load[i]
                     walk(there, i + 1, delay + (hop + took), cost + hop_cost + price, steps + 1)
                     vms[there][vm] += load_units[i]
             if link >= 0:
@@ -144,16 +151,16 @@ def checked_cost(case: Case, plan: list[int]) -> float:
         else:
             assert node != case.egress, "the walk never leaves the egress"
             link = ends[node, there]
-            links[link] -= tables.rate_units[case.service]
+            links[link] -= tables.rate_units[case.service, 0]
             assert links[link] >= 0
-            step += tables.hop_delay[0, case.service, link]
-            cost += tables.link_unit_cost[0, link] * tables.rate[case.service]
+            step += hop_delays(case)[link]
+            cost += tables.link_unit_cost[0, link] * tables.rate[case.service, 0]
         if place:
             assert i < chain
-            vms[there, vm] -= tables.load_units[case.service, i]
+            vms[there, vm] -= tables.load_units[case.service, i, 0]
             assert vms[there, vm] >= 0
-            step += 1000.0 * tables.load[case.service, i] / tables.vm_speed[0, there, vm]
-            cost += tables.vm_unit_cost[0, there, vm] * tables.load[case.service, i]
+            step += 1000.0 * tables.load[case.service, i, 0] / tables.vm_speed[0, there, vm]
+            cost += tables.vm_unit_cost[0, there, vm, 0] * tables.load[case.service, i, 0]
             i += 1
         delay += step
         assert delay <= tables.tolerable_delay[case.service] + 1e-9

@@ -236,8 +236,8 @@ def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> n
     substrate = scenario.substrate
     tables = build_tables([substrate], scenario.catalogue)
     rules = Rules(scenario.colocation, False, False, scenario.max_steps)
-    capacity = np.r_[tables.vm_capacity[0].ravel(), tables.link_capacity[0]]
-    shape, vms = tables.vm_capacity[0].shape, tables.vm_capacity[0].size
+    capacity = np.r_[tables.vm_capacity[0, :, :, 0].ravel(), tables.link_capacity[0]]
+    shape, vms = tables.vm_capacity[0, :, :, 0].shape, tables.vm_capacity[0, :, :, 0].size
     offered, up = capacity.copy(), np.ones(capacity.size, bool)
     ends = {(u, v): link for link, (u, v) in enumerate(substrate.links.tolist())}
     planner = MyopicPlanner()
@@ -256,9 +256,9 @@ def play(scenario: Scenario, workload: Workload, timeline: FailureTimeline) -> n
         for action in plan:
             there, vm, place = action // (2 * shape[1]), action // 2 % shape[1], action % 2
             if there != node:
-                use[vms + ends[min(node, there), max(node, there)]] += tables.rate_units[request[0]]
+                use[vms + ends[min(node, there), max(node, there)]] += tables.rate_units[request[0], 0]
             if place:
-                use[there * shape[1] + vm] += tables.load_units[request[0], placed]
+                use[there * shape[1] + vm] += tables.load_units[request[0], placed, 0]
                 placed += 1
             node = there
         if plan:
@@ -305,7 +305,7 @@ def test_least_delay_and_cost_are_below_the_exact_searchs():
         tables = build_tables([scenario.substrate], scenario.catalogue)
         rules = Rules(colocation, False, False, 100)
         planner = MyopicPlanner()
-        vms, links = tables.vm_capacity[0], tables.link_capacity[0]
+        vms, links = tables.vm_capacity[0, :, :, 0], tables.link_capacity[0]
         for service in range(3):
             cost, delay = least_cost(scenario, service), least_delay(scenario, service)
             for ingress, egress in itertools.permutations(range(7), 2):

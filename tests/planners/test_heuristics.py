@@ -16,7 +16,7 @@ from nfv_torchrl.simulator.tables import Rules, build_tables
 def duo_case(tolerable_delay: float, colocation: bool = False) -> Case:
     tables = build_tables([toy_substrate()], toy_catalogue(duo_delay=tolerable_delay))
     rules = Rules(colocation, False, False, 100)
-    return Case(tables, rules, tables.vm_capacity[0].copy(), tables.link_capacity[0].copy(), DUO, 0, 3)
+    return Case(tables, rules, tables.vm_capacity[0, :, :, 0].copy(), tables.link_capacity[0].copy(), DUO, 0, 3)
 
 
 def test_greedy_takes_the_cheapest_vm_ahead_and_never_takes_it_back():

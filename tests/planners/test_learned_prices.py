@@ -53,7 +53,7 @@ def planned(made: PriceNetwork, *, observe_lifetime=False, use=()):
     world = simulator.world
     for node, vm, units in use:
         world.ledger.vm_offered[0, node, vm] -= units
-        world.env["vm_used"][0] += units
+        world.ledger.vm_used[0, 0] += units
     planner = LearnedPrices(made.weights())
     lengths = np.zeros(1, np.int64)
     planner.plan_rows(world, np.zeros(1, np.int64), np.zeros((1, 100), np.int64), lengths)
@@ -71,8 +71,8 @@ def test_price_of_a_vm_by_hand():
     _, search = planned(made, use=[(0, 0, 30_000_000)])
     # VM 0.0: 30 of 40 Mcycles/s used; of the network 30 of 330. Mean unit cost (3 + 1 + 5 + 2 + 1 + 4) / 6, times 4.
     value = 0.5 * 0.75 - 0.1 + 0.2 * math.tanh(30 / 330)
-    assert search.vm_price[0, 0] == pytest.approx(3.0 + 0.75 * value * 4 * 16 / 6)
-    assert search.vm_price[1].tolist() == [1.0, 5.0]  # unused: what they cost
+    assert search.vm_price[0, 0, 0] == pytest.approx(3.0 + 0.75 * value * 4 * 16 / 6)
+    assert search.vm_price[1, :, 0].tolist() == [1.0, 5.0]  # unused: what they cost
     assert search.link_price.tolist() == [2.0, 1.0, 1.0, 4.0, 2.0]
 
 
@@ -93,7 +93,7 @@ def test_features_of_a_vm_by_hand(feature, value):
     made = network(hidden=0)
     made.vm.linear[VM_FEATURES.index(feature)] = 1.0
     _, search = planned(made, use=[(0, 0, 30_000_000)])
-    assert search.vm_price[0, 0] == pytest.approx(3.0 + 0.75 * value * 4 * 16 / 6)
+    assert search.vm_price[0, 0, 0] == pytest.approx(3.0 + 0.75 * value * 4 * 16 / 6)
 
 
 @torch.no_grad()

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from exhaustive import Case, cheapest_by_trying, checked_cost, plan_of, planned_cost, tight_case
+from exhaustive import Case, cheapest_by_trying, checked_cost, hop_delays, plan_of, planned_cost, tight_case
 from tight_instances import tight_instance
 
 from nfv_torchrl.errors import ScenarioError
@@ -96,7 +96,7 @@ def line_network(*, chain=("A", "B"), tau=1000.0, capacities=(5.0, 5.0, 100.0), 
 
 def case_of(tables, colocation: bool, request: tuple[int, int, int], max_steps: int = 100) -> Case:
     """A request on the empty network."""
-    offered = tables.vm_capacity[0].copy(), tables.link_capacity[0].copy()
+    offered = tables.vm_capacity[0, :, :, 0].copy(), tables.link_capacity[0].copy()
     return Case(tables, Rules(colocation, False, False, max_steps), *offered, *request)
 
 
@@ -181,15 +181,15 @@ def all_walks(case: Case) -> tuple[np.ndarray, np.ndarray]:
                 new = use.copy()
                 step, price = 0.0, 0.0
                 if link >= 0:
-                    new[case.vm_offered.size + link] += tables.rate_units[case.service]
-                    step += tables.hop_delay[0, case.service, link]
-                    price += tables.link_unit_cost[0, link] * tables.rate[case.service]
+                    new[case.vm_offered.size + link] += tables.rate_units[case.service, 0]
+                    step += hop_delays(case)[link]
+                    price += tables.link_unit_cost[0, link] * tables.rate[case.service, 0]
                 if vm >= 0:
                     if i == tables.chain_length[case.service]:
                         continue
-                    new[there * slots + vm] += tables.load_units[case.service, i]
-                    step += 1000.0 * tables.load[case.service, i] / tables.vm_speed[0, there, vm]
-                    price += tables.vm_unit_cost[0, there, vm] * tables.load[case.service, i]
+                    new[there * slots + vm] += tables.load_units[case.service, i, 0]
+                    step += 1000.0 * tables.load[case.service, i, 0] / tables.vm_speed[0, there, vm]
+                    price += tables.vm_unit_cost[0, there, vm, 0] * tables.load[case.service, i, 0]
                 late = delay + step > tables.tolerable_delay[case.service] + 1e-9
                 if not late and np.all(new <= room):
                     go(there, i + (vm >= 0), delay + step, cost + price, new, steps + 1)
@@ -232,7 +232,7 @@ def test_two_requests_together_against_all_pairs_of_walks(colocation):
 def test_a_batch_is_planned_row_by_row():
     case = tight_case(3, True)
     world = new_world(case.tables, case.rules, np.zeros(3, np.int64), 1, 0, False, False)
-    world.ledger.vm_offered[:], world.ledger.link_offered[:] = case.vm_offered, case.link_offered
+    world.ledger.vm_offered[..., 0], world.ledger.link_offered[:] = case.vm_offered, case.link_offered
     world.env["service"], world.env["ingress"], world.env["egress"] = case.service, case.ingress, case.egress
     plans, lengths = np.full((3, case.rules.max_steps), -1), np.full(3, -7)
     MilpPlanner().plan_rows(world, np.array([0, 2]), plans, lengths)
@@ -241,10 +241,17 @@ def test_a_batch_is_planned_row_by_row():
     assert plans[2, : lengths[2]].tolist() == alone
 
 
+def test_ingress_and_egress_may_be_one_node():
+    """From 1 to 1: without leaving it, A and B stand on VMs of node 1, 10 and 20 Mcycles/s at $2."""
+    tables = line_network(capacities=(100.0, 100.0, 5.0))
+    for form in ("walk", "problem"):
+        found = embed_slot(case_of(tables, False, (0, 1, 1)).world, 0, [Request(0, 1, 1)], form)[0]
+        assert found.placements == ((1, 0), (1, 0)) or form == "problem"
+        assert found.cost == pytest.approx(60.0 if form == "walk" else 32.0)  # on node 0, there and back
+
+
 def test_bad_input_is_refused():
     world = case_of(line_network(), True, (0, 0, 1)).world
-    with pytest.raises(ScenarioError, match="two different end nodes"):
-        embed_slot(world, 0, [Request(0, 1, 1)])
     with pytest.raises(ScenarioError, match="unknown form"):
         embed_request(world, 0, "paper")
     assert embed_slot(world, 0, []) == []

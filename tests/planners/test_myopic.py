@@ -32,7 +32,9 @@ INSTANCES = 300
 def toy_case(service: int, ingress: int, egress: int, colocation: bool = False, max_steps: int = 100) -> Case:
     tables = build_tables([toy_substrate()], toy_catalogue())
     rules = Rules(colocation, False, False, max_steps)
-    return Case(tables, rules, tables.vm_capacity[0].copy(), tables.link_capacity[0].copy(), service, ingress, egress)
+    return Case(
+        tables, rules, tables.vm_capacity[0, :, :, 0].copy(), tables.link_capacity[0].copy(), service, ingress, egress
+    )
 
 
 def assert_plans(case: Case, expected: tuple[float, float, list[int]]) -> None:
@@ -77,7 +79,7 @@ def test_agrees_with_trying_every_walk(colocation):
         tight["own use"] += bool(planner.own.critical.tracked[0] > 0)
         tight["delay"] += _changes(case, expected, tables=case.tables._replace(tolerable_delay=np.array([1e9])))
         tight["steps"] += _changes(case, expected, rules=case.rules._replace(max_steps=100))
-        free = case._replace(vm_offered=case.tables.vm_capacity[0], link_offered=case.tables.link_capacity[0])
+        free = case._replace(vm_offered=case.tables.vm_capacity[0, :, :, 0], link_offered=case.tables.link_capacity[0])
         tight["capacity"] += _changes(free, expected)
     # Agreement means little where nothing is scarce.
     assert min(tight.values()) >= INSTANCES // 40, tight
@@ -95,7 +97,8 @@ def test_any_prices(colocation):
     for seed in range(INSTANCES // 2):
         case = tight_case(seed, colocation)
         rng = np.random.default_rng(seed)
-        vm_price = rng.uniform(0, 30, case.vm_offered.shape).round() * rng.integers(0, 2, case.vm_offered.shape)
+        shape = case.tables.vm_unit_cost[0].shape
+        vm_price = rng.uniform(0, 30, shape).round() * rng.integers(0, 2, shape)
         link_price = rng.uniform(0, 30, case.link_offered.shape).round() * rng.integers(0, 2, case.link_offered.shape)
         # Trying every walk takes its costs from the tables.
         priced = case.tables._replace(vm_unit_cost=vm_price[None], link_unit_cost=link_price[None])
@@ -134,7 +137,7 @@ def test_batch_is_the_same_as_one_by_one(planner):
     rows = np.array([0, 2, 3, 5, 6, 7])
     rules = case.rules._replace(max_steps=8)
     world = new_world(case.tables, rules, np.zeros(8, np.int64), 1, 0, False, False)
-    world.ledger.vm_offered[:] = (case.vm_offered * rng.random((8, 1, 1))).astype(np.int64)
+    world.ledger.vm_offered[..., 0] = (case.vm_offered * rng.random((8, 1, 1))).astype(np.int64)
     world.ledger.link_offered[:] = rng.choice([0, 5_000_000, 8_000_000], (8, case.link_offered.size))
     world.env["ingress"] = rng.integers(0, 3, 8)
     world.env["egress"] = world.env["ingress"] + 1
@@ -145,7 +148,7 @@ def test_batch_is_the_same_as_one_by_one(planner):
             assert lengths[b] == -7 and (plans[b] == -7).all()
             continue
         ends = (int(world.env["ingress"][b]), int(world.env["egress"][b]))
-        alone = Case(case.tables, rules, world.ledger.vm_offered[b], world.ledger.link_offered[b], 0, *ends)
+        alone = Case(case.tables, rules, world.ledger.vm_offered[b, :, :, 0], world.ledger.link_offered[b], 0, *ends)
         assert plans[b, : lengths[b]].tolist() == plan_of(planner(), alone)
         assert (plans[b, lengths[b] :] == -7).all()
     assert 0 < np.sum(lengths > 0) < len(rows)

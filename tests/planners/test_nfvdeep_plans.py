@@ -32,7 +32,7 @@ def test_plans_pass_every_check(route, colocation):
 def offered(**vms: int):
     """What the toy network offers: capacities, but for the VMs given as n0v1=Mcycles/s."""
     tables = Simulator(toy_scenario(), 1).tables
-    vm_offered = tables.vm_capacity[0].copy()
+    vm_offered = tables.vm_capacity[0, :, :, 0].copy()
     for name, value in vms.items():
         node, vm = name[1:].split("v")
         vm_offered[int(node), int(vm)] = value * 1_000_000

@@ -21,8 +21,8 @@ def tight_instance(seed: int, colocation: bool) -> Case:
     chain = tuple(rng.choice(list(PAPER_VNFS), size=5).tolist())
     service = ServiceType("tight", chain, 4.0, float(rng.uniform(60.0, 160.0)))
     tables = build_tables([substrate], ServiceCatalogue((service,)))
-    exists = tables.vm_capacity[0] > 0
-    vm_offered = np.where(exists, rng.integers(0, 2 * tables.load_units[0].max(), exists.shape), 0)
-    link_offered = rng.integers(0, 4, substrate.num_links) * tables.rate_units[0]
+    exists = tables.vm_capacity[0, :, :, 0] > 0
+    vm_offered = np.where(exists, rng.integers(0, 2 * tables.load_units[0, :, 0].max(), exists.shape), 0)
+    link_offered = rng.integers(0, 4, substrate.num_links) * tables.rate_units[0, 0]
     ingress, egress = rng.choice(nodes, 2, replace=False).tolist()
     return Case(tables, Rules(colocation, False, False, 100), vm_offered, link_offered, 0, ingress, egress)

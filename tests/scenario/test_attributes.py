@@ -280,14 +280,13 @@ def test_vms_are_drawn_as_for_other_formats(tmp_path):
 @pytest.mark.parametrize(
     ("node", "rest", "message"),
     [
-        ({"vms": []}, {}, r"node 'a': needs 'vms', a list of at least one"),
         ({"vms": "two"}, {}, r"node 'a': 'vms' is 'two'; use JSON such as"),
         ({"vms": 2}, {}, r"node 'a': needs 'vms'"),
         ({"vms": [{"capacity": 1}]}, {}, r"node 'a', VM 0: 'unit_cost' is None"),
         ({"vms": [{"capacity": 1, "unit_cost": -2}]}, {}, r"node 'a', VM 0: unit_cost is -2.0"),
         ({"vms": [{"capacity": 10**400, "unit_cost": 1}]}, {}, r"node 'a', VM 0: 'capacity' is 1000"),
         ({"vm_count": 1.5}, {}, r"node 'a': vm_count is 1.5; use an integer"),
-        ({"vm_count": 0}, {}, r"node 'a': vm_count is 0; it must be at least 1"),
+        ({"vm_count": -1}, {}, r"node 'a': vm_count is -1; it must be at least 0"),
         ({"vm_count": 10**9}, {}, r"node 'a': vm_count is 1000000000; .* at most 1000"),
         (ONE_VM, {"graph": {"max_vms": 10**9}}, r"1000000000 VM slots a node"),
         (ONE_VM, {"graph": {"max_vms": 0}}, r"'max_vms' is 0"),

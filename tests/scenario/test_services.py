@@ -35,7 +35,9 @@ def test_weights_make_the_mix():
     ("changes", "message"),
     [
         ({"name": ""}, "empty name"),
-        ({"chain": ()}, "services.a.chain: is empty"),
+        ({"chain": (), "ingress": "any"}, "services.a: has no chain, so its ends cannot be free"),
+        ({"egress": "all"}, "services.a.egress: 'all'; use any"),
+        ({"rates": (1.0,)}, "services.a.rates: there are 1; a chain of"),
         ({"rate": 0}, "services.a.rate"),
         ({"rate": -1}, "services.a.rate"),
         ({"rate": math.nan}, "services.a.rate"),

@@ -21,6 +21,9 @@ from nfv_torchrl.simulator import Simulator
 def assert_same(one: Workload, other: Workload) -> None:
     for field in dataclasses.fields(Workload):
         expected, actual = getattr(one, field.name), getattr(other, field.name)
+        if expected is None:
+            assert actual is None
+            continue
         assert actual.dtype == expected.dtype
         np.testing.assert_array_equal(actual, expected, err_msg=field.name)
 
@@ -112,7 +115,8 @@ def test_seed_and_key_decide_and_nothing_else():
 def test_a_longer_horizon_continues_the_same_arrivals():
     short, long = (paper_scenario(horizon=horizon, endpoints="uniform").workload(7) for horizon in (100, 300))
     for field in dataclasses.fields(Workload):
-        np.testing.assert_array_equal(getattr(short, field.name), getattr(long, field.name)[: len(short)])
+        if field.name != "own":
+            np.testing.assert_array_equal(getattr(short, field.name), getattr(long, field.name)[: len(short)])
 
 
 def test_one_setting_leaves_the_other_draws_alone():
@@ -187,7 +191,6 @@ def test_spreadsheets_write_it_a_little_differently(tmp_path):
         ("1,duo,x,3,1.0", "line 3: ingress: unknown node 'x'"),
         (f"1,duo,{'x' * 1000},3,1.0", "line 3: ingress: 'x{50,100}... is no node"),
         ("1,duo,,3,1.0", "line 3: ingress: unknown node ''"),
-        ("1,duo,2,2,1.0", "line 3: ingress and egress are both '2'"),
         ("1e3,duo,0,3,1.0", "line 3: slot is '1e3'; use an integer"),
         ("1_0,duo,0,3,1.0", "line 3: slot is '1_0'; use an integer"),
         ('"1,000",duo,0,3,1.0', "line 3: slot is '1,000'; use an integer"),
@@ -276,7 +279,6 @@ def test_indices_say_so_in_the_header(tmp_path):
     [
         ("0,1", "line 2: ingress: unknown node '0'; use an id of the substrate's file"),
         ("A,3", "line 2: egress: node '3': is the id of node 'C' and the label of the node with id '4'"),
-        ("A,1", "line 2: ingress and egress are both 'A'"),
         ("a,2", "line 2: ingress: unknown node 'a'"),
     ],
 )
@@ -324,8 +326,7 @@ def test_round_trip_with_odd_names(workload, pair, tmp_path_factory):
         ({"slot": [-1, 0]}, "0 or more"),
         ({"slot": [0.5, 1.0]}, "slot is float64"),
         ({"service": [0]}, r"service is int64 \[1\]; use int64 \[R\]"),
-        ({"egress": [0, 3]}, "ingress and egress differ"),
-        ({"ingress": [-1, 0]}, "indices from 0"),
+        ({"ingress": [-2, 0]}, "indices from 0; a free end is -1"),
         ({"lifetime": [1.0, np.nan]}, "a lifetime is not a positive"),
         ({"lifetime": [1.0, 0.0]}, "a lifetime is not a positive"),
         ({"lifetime": ["1", "2"]}, "lifetime is <U1"),

@@ -27,7 +27,6 @@ COUNTERS = (
     "cost",
     "running_cost",
     "num_running",
-    "vm_used",
     "link_used",
     "event_cursor",
     "done",
@@ -74,8 +73,9 @@ def assert_books_balance(simulator: Simulator) -> None:
     ):
         assert (reserved >= 0).all()
         assert (reserved <= capacity).all()
+        failed = failed.reshape(*failed.shape, *[1] * (offered.ndim - failed.ndim))
         np.testing.assert_array_equal(offered, np.where(failed, 0, capacity - reserved))
-    np.testing.assert_array_equal(env["vm_used"], ledger.vm_reserved.sum(axis=(1, 2)))
+    np.testing.assert_array_equal(ledger.vm_used, ledger.vm_reserved.sum(axis=(1, 2)))
     np.testing.assert_array_equal(env["link_used"], ledger.link_reserved.sum(axis=1))
 
 
@@ -85,7 +85,8 @@ def assert_network_is_idle(simulator: Simulator, b: int = 0) -> None:
     e = world.env[b]
     assert not world.ledger.vm_reserved[b].any()
     assert not world.ledger.link_reserved[b].any()
-    assert (e["running_cost"], e["num_running"], e["vm_used"], e["link_used"]) == (0.0, 0, 0, 0)
+    assert (e["running_cost"], e["num_running"], e["link_used"]) == (0.0, 0, 0)
+    assert not world.ledger.vm_used[b].any()
     for following, first, free in (
         (world.running.record_next[b], e["free_record"], e["free_records"]),
         (world.running.entry_next[b], e["free_entry"], e["free_entries"]),

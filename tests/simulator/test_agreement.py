@@ -8,7 +8,7 @@ from driving import begin, counters_of, mask_of, outcome_of
 from hypothesis import given
 from hypothesis import strategies as st
 from reference import ReferenceSimulator
-from strategies import instances, random_action
+from strategies import general_instances, instances, random_action
 
 from nfv_torchrl.simulator import REASON_NAMES, Simulator
 
@@ -19,9 +19,9 @@ def assert_same_state(simulator: Simulator, reference: ReferenceSimulator) -> No
     for place in reference.vm_capacity:
         assert ledger.vm_reserved[0][place] == reference.vm_reserved[place]
         assert ledger.vm_offered[0][place] == reference.vm_available(*place)
-    for link in reference.link_capacity:
-        assert ledger.link_reserved[0, link] == reference.link_reserved[link]
-        assert ledger.link_offered[0, link] == reference.link_available(link)
+    for link, name in enumerate(reference.link_capacity):
+        assert ledger.link_reserved[0, link] == reference.link_reserved[name]
+        assert ledger.link_offered[0, link] == reference.link_available(name)
     e = simulator.world.env[0]
     assert (bool(e["done"]), e["slot"], e["num_running"]) == (reference.done, reference.slot, len(reference.running))
     assert e["running_cost"] == pytest.approx(reference.running_cost, abs=1e-6)
@@ -31,7 +31,8 @@ def assert_same_state(simulator: Simulator, reference: ReferenceSimulator) -> No
     else:
         walk = ("cursor", "node", "function", "steps", "last_vm", "hops")
         expected = ("cursor", "current_node", "function_index", "step_count", "last_vm", "hops")
-        assert [e[name] for name in walk] == [getattr(reference, name) for name in expected]
+        theirs = [getattr(reference, name) for name in expected]
+        assert [e[name] for name in walk] == [-1 if value is None else value for value in theirs]
     seen = simulator.world.seen.flat[0, : len(observation)]
     np.testing.assert_allclose(seen, np.array(observation, np.float32), rtol=1e-6)
 
@@ -77,3 +78,9 @@ def test_agrees_with_the_reference(mask, colocation):
         run_both(instance, seed)
 
     check()
+
+
+@given(general_instances(), st.integers(0, 2**32))
+def test_agrees_on_the_general_model(instance, seed):
+    """Several kinds of resources, rates of segments, free ends, distinct nodes, full duplex, forwarding nodes."""
+    run_both(instance, seed)

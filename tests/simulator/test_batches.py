@@ -47,14 +47,14 @@ def assert_same(own: Simulator, padded: Simulator, b: int) -> None:
     assert set(np.flatnonzero(padded.world.seen.mask[b]).tolist()) == valid
     assert counters_of(padded, b) == counters_of(own)
     assert outcome_of(padded, b) == outcome_of(own)
-    nodes, vms = own.world.ledger.vm_offered.shape[1:]
+    nodes, vms = own.world.ledger.vm_offered.shape[1:3]
     links = own.world.ledger.link_offered.shape[1]
     for name, ours in own.world.ledger._asdict().items():
         theirs = getattr(padded.world.ledger, name)[b]
-        theirs_own = theirs[:nodes, :vms] if ours.ndim == 3 else theirs[:links]
+        theirs_own = theirs[:nodes, :vms] if ours.ndim >= 3 else theirs if name == "vm_used" else theirs[:links]
         np.testing.assert_array_equal(theirs_own, ours[0])
     # Shares of VMs and links, then the service's; nodes and VMs are scaled by the batch's sizes.
-    all_nodes, all_vms = padded.world.ledger.vm_offered.shape[1:]
+    all_nodes, all_vms = padded.world.ledger.vm_offered.shape[1:3]
     all_links = padded.world.ledger.link_offered.shape[1]
     flat = padded.world.seen.flat[b]
     shares = flat[: all_nodes * all_vms].reshape(all_nodes, all_vms)

@@ -111,7 +111,7 @@ def test_running_requests_count_while_pools_grow():
     outcome = play(simulator, toy.DUO_0_TO_3[2] * 1000)
     assert simulator.world.env["num_running"][0] == 1000
     # Each holds 10 at 1.0 and 20 at 2.0, and one Mbit/s of three links.
-    assert simulator.world.ledger.vm_reserved[0, [1, 2], 0].tolist() == [10_000_000_000, 20_000_000_000]
+    assert simulator.world.ledger.vm_reserved[0, [1, 2], 0, 0].tolist() == [10_000_000_000, 20_000_000_000]
     assert simulator.world.env["link_used"][0] == 3_000_000_000
     assert outcome["slot_cost"] == 55_000
 

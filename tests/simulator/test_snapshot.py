@@ -69,8 +69,8 @@ def teleport(state: dict) -> None:
     state["world"]["seen.mask"][0] = True
 
 
-def twice_the_amount(state: dict) -> None:
-    state["world"]["running.entry_amount"] *= 2
+def another_function(state: dict) -> None:
+    state["world"]["running.entry_use"] += 1
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def twice_the_amount(state: dict) -> None:
         (shared_reservations, "running.entry_next of environment . has a cycle, or two chains that meet"),
         (departed_long_ago, "running.head of environment . holds what has left"),
         (teleport, "seen.mask of environment 0 is not what is possible"),
-        (twice_the_amount, "is more than the resource has|is not what walks and running requests hold"),
+        (another_function, "is no function or segment of its request|is not what walks and running requests hold"),
     ],
 )
 def test_chains_masks_and_books(saved, damage, named):

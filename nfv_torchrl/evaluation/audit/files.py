@@ -11,6 +11,7 @@ import json
 import math
 import stat
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -28,6 +29,7 @@ LARGEST_INTEGER = 2**128
 
 WORKLOAD_HEADERS = [
     ["slot", "service", "ingress_index", "egress_index", "lifetime"],
+    ["slot", "service", "ingress_index", "egress_index", "lifetime", "demand"],
     ["slot", "service", "ingress", "egress", "lifetime"],  # of older runs; indices too
 ]
 SCENARIO_KEYS: dict[str, Any] = {
@@ -37,16 +39,21 @@ SCENARIO_KEYS: dict[str, Any] = {
 }  # fmt: skip
 
 
-class Vm(NamedTuple):
-    """Capacity in cycles/s and in Mcycles/s, unit cost in $ per Mcycles/s."""
+ANY, FREE = "any", -1
+"""An end of a request that is free, in files and here."""
+PAPER_KINDS = [{"name": "cpu", "scales_with_rate": True}]
 
-    units: int
-    capacity: float
-    unit_cost: float
+
+class Vm(NamedTuple):
+    """Of each kind of resources: capacity in whole millionths and in its unit (Mcycles/s), unit cost in $."""
+
+    units: tuple[int, ...]
+    capacity: tuple[float, ...]
+    unit_cost: tuple[float, ...]
 
 
 class Link(NamedTuple):
-    """Capacity in bit/s and in Mbit/s, propagation delay in ms, unit cost in $ per Mbit/s."""
+    """One direction of a link. Capacity in bit/s and in Mbit/s, delay in ms, unit cost in $ per Mbit/s."""
 
     units: int
     capacity: float
@@ -55,14 +62,20 @@ class Link(NamedTuple):
 
 
 class Service(NamedTuple):
-    """Load of each function of the chain in cycles/s and in Mcycles/s; rate in bit/s and Mbit/s; delay budget in ms."""
+    """What a request asks for: amounts of each function and kind, in millionths and in units; rate of each segment.
 
-    load_units: tuple[int, ...]
-    load: tuple[float, ...]
-    rate_units: int
-    rate: float
+    ``work``: Mcycles/s that the processing delay of a function follows from. ``own_delay``: ms beside it.
+    ``tolerable_delay``: ms, infinite where any will do. ``weight``: of a service in the mix.
+    """
+
+    load_units: tuple[tuple[int, ...], ...]
+    load: tuple[tuple[float, ...], ...]
+    work: tuple[float, ...]
+    own_delay: tuple[float, ...]
+    rate_units: tuple[int, ...]
+    rate: tuple[float, ...]
     tolerable_delay: float
-    weight: float
+    weight: float = 0.0
 
 
 class Request(NamedTuple):
@@ -73,6 +86,7 @@ class Request(NamedTuple):
     ingress: int
     egress: int
     lifetime: float
+    demand: str = ""
 
     @property
     def departure(self) -> int:
@@ -92,6 +106,29 @@ class RunFiles:
     decisions: list[dict[str, Any] | None]
     metrics: dict[str, Any]
     problems: Problems = field(default_factory=Problems)
+    demands: dict[tuple[str, str], Service] = field(default_factory=dict)
+
+    def asked(self, request: Request) -> Service:
+        """What a request asks for: its own demand, or that of its service."""
+        return self.demands[request.service, request.demand] if request.demand else self.services[request.service]
+
+    @property
+    def distinct(self) -> bool:
+        """Whether functions of a request may not share a node."""
+        return self.scenario.get("placement") == "distinct"
+
+    def link_between(self, tail: int, head: int) -> tuple[tuple[int, int], Link] | None:
+        """The link that leads from one node to another, and the name of its capacity; None if there is none."""
+        link = self.links.get((tail, head))
+        if link is not None:
+            return (tail, head), link
+        link = self.links.get((head, tail))
+        return None if link is None or self.full_duplex else ((head, tail), link)
+
+    @cached_property
+    def full_duplex(self) -> bool:
+        """Whether each direction of a link has a capacity of its own; ``links`` then has both."""
+        return any((head, tail) in self.links for tail, head in self.links)
 
 
 def read_run(folder: Path) -> RunFiles:
@@ -110,12 +147,17 @@ def read_run(folder: Path) -> RunFiles:
         raise UnreadableRun("scenario.json: horizon, warmup or max_steps is out of range")
     try:
         services = _services(scenario)
-        vms, links = _substrate(read_json(folder / "substrate.json"), problems)
+        kinds = scenario.get("resources") or PAPER_KINDS
+        vms, links = _substrate(read_json(folder / "substrate.json"), [kind["name"] for kind in kinds], problems)
         workload = _workload(folder / "workload.csv", len(vms), services, scenario["horizon"])
+        demands = {
+            (request.service, request.demand): _demand(request.demand, kinds) for request in workload if request.demand
+        }
     except (KeyError, TypeError, AttributeError) as error:
         raise UnreadableRun(f"scenario.json or substrate.json lacks something: {error!r}") from error
     decisions = _decisions(folder / "decisions.jsonl", problems)
-    return RunFiles(scenario, vms, links, services, workload, decisions, read_json(folder / "metrics.json"), problems)
+    metrics = read_json(folder / "metrics.json")
+    return RunFiles(scenario, vms, links, services, workload, decisions, metrics, problems, demands)
 
 
 def is_number(value: Any) -> bool:
@@ -129,38 +171,95 @@ def is_index(value: Any) -> bool:
 
 
 def _services(scenario: dict[str, Any]) -> dict[str, Service]:
-    cycles = scenario["vnfs"]
+    kinds = scenario.get("resources") or PAPER_KINDS
     result = {}
     for entry in scenario["services"]:
-        rate = entry["rate"]
-        load = tuple(cycles[vnf] * rate for vnf in entry["chain"])
-        result[entry["name"]] = Service(
-            tuple(round(x * UNITS) for x in load), load, round(rate * UNITS), rate, entry["tolerable_delay"],
-            entry["weight"],
-        )  # fmt: skip
+        chain = [scenario["vnfs"][vnf] for vnf in entry["chain"]]
+        rates = entry.get("rates") or [entry["rate"]] * (len(chain) + 1)
+        if len(rates) != len(chain) + 1:
+            raise UnreadableRun(f"scenario.json: service {entry['name']!r} has {len(rates)} rates")
+        chain = [vnf if isinstance(vnf, dict) else {kinds[0]["name"]: vnf} for vnf in chain]
+        load = [
+            tuple(vnf.get(kind["name"], 0.0) * (rate if kind["scales_with_rate"] else 1.0) for kind in kinds)
+            for vnf, rate in zip(chain, rates, strict=False)
+        ]
+        own = [vnf.get("delay") for vnf in chain]
+        result[entry["name"]] = _asked(load, rates, entry["tolerable_delay"], own, kinds)._replace(
+            weight=entry["weight"]
+        )
     return result
 
 
-def _substrate(document: dict[str, Any], problems: Problems) -> tuple[list[list[Vm]], dict[tuple[int, int], Link]]:
+def _asked(
+    load: list[tuple[float, ...]],
+    rates: list[float],
+    tolerable: float | None,
+    own: list[float | None],
+    kinds: list[Any],
+) -> Service:
+    """``own``: processing delay that each function states, None where it follows from load and VM."""
+    scales = kinds[0]["scales_with_rate"]
+    return Service(
+        load_units=tuple(tuple(round(x * UNITS) for x in amounts) for amounts in load),
+        load=tuple(load),
+        work=tuple(x[0] if stated is None and scales else 0.0 for x, stated in zip(load, own, strict=True)),
+        own_delay=tuple(stated or 0.0 for stated in own),
+        rate_units=tuple(round(rate * UNITS) for rate in rates),
+        rate=tuple(rates),
+        tolerable_delay=math.inf if tolerable is None else tolerable,
+    )
+
+
+def _demand(text: str, kinds: list[Any]) -> Service:
+    """The demand in a cell of workload.csv."""
+    try:
+        data = _parse_object(text.encode())
+        columns = [[float(x) for x in data["amounts"][kind["name"]]] for kind in kinds]
+        load = list(zip(*columns, strict=True))
+        rates = data["rates"] if isinstance(data["rates"], list) else [data["rates"]] * (len(load) + 1)
+        own = data.get("processing_delay") or [None] * len(load)
+        if len(rates) != len(load) + 1 or len(own) != len(load):
+            raise ValueError("numbers of rates or processing delays that do not fit the functions")
+        return _asked(load, [float(rate) for rate in rates], data.get("tolerable_delay"), own, kinds)
+    except (ValueError, KeyError, TypeError) as error:
+        raise UnreadableRun(f"workload.csv: the demand {text[:100]!r} is none: {error!r}") from error
+
+
+def _substrate(
+    document: dict[str, Any], kinds: list[str], problems: Problems
+) -> tuple[list[list[Vm]], dict[tuple[int, int], Link]]:
     nodes = {node["id"]: node["vms"] for node in document["nodes"]}
     if sorted(nodes) != list(range(len(nodes))):
         raise UnreadableRun("substrate.json: the node ids are not 0, 1, 2, ...")
-    vms = [
-        [Vm(round(vm["capacity"] * UNITS), vm["capacity"], vm["unit_cost"]) for vm in nodes[node]]
-        for node in range(len(nodes))
-    ]
+    if document.get("graph", {}).get("resources", ["cpu"]) != kinds:
+        raise UnreadableRun(f"substrate.json: its kinds of resources are not those of scenario.json, {kinds}")
+    vms = [[_vm(vm, kinds) for vm in nodes[node]] for node in range(len(nodes))]
     for node, here in enumerate(vms):
-        if not here or any(vm.units <= 0 for vm in here):
-            problems.add(f"substrate.json: node {node} has no VM, or one without capacity")
+        if any(units <= 0 for vm in here for units in vm.units):
+            problems.add(f"substrate.json: node {node} has a VM without capacity")
     links: dict[tuple[int, int], Link] = {}
     for link in document["links"] if "links" in document else document["edges"]:
         ends = (min(link["source"], link["target"]), max(link["source"], link["target"]))
         if ends in links or ends[0] == ends[1] or not {*ends} <= nodes.keys():
             problems.add(f"substrate.json: link {ends} is there twice, joins a node to itself or an unknown node")
-        links[ends] = Link(round(link["capacity"] * UNITS), link["capacity"], link["delay"], link["unit_cost"])
-        if links[ends].units <= 0:
-            problems.add(f"substrate.json: link {ends} has no capacity")
+        directions = {ends: link["capacity"]}
+        if "back_capacity" in link:
+            directions[ends[::-1]] = link["back_capacity"]
+        for direction, capacity in directions.items():
+            links[direction] = Link(round(capacity * UNITS), capacity, link["delay"], link["unit_cost"])
+            if links[direction].units <= 0:
+                problems.add(f"substrate.json: link {ends} has no capacity")
+    if len({"back_capacity" in link for link in document.get("links", document.get("edges"))}) > 1:
+        problems.add("substrate.json: some links have a back_capacity, others not")
     return vms, links
+
+
+def _vm(vm: dict[str, Any], kinds: list[str]) -> Vm:
+    capacity, unit_cost = (
+        tuple(vm[key][kind] for kind in kinds) if isinstance(vm[key], dict) else (vm[key],)
+        for key in ("capacity", "unit_cost")
+    )
+    return Vm(tuple(round(x * UNITS) for x in capacity), capacity, unit_cost)
 
 
 def read_csv(path: Path, *headers: list[str]) -> list[tuple[int, list[str]]]:
@@ -183,17 +282,18 @@ def _workload(path: Path, nodes: int, services: dict[str, Service], horizon: int
     for line, row in read_csv(path, *WORKLOAD_HEADERS):
         where = f"workload.csv line {line}"
         try:
-            slot, service, ingress, egress, lifetime = row
-            request = Request(int(slot), service, int(ingress), int(egress), float(lifetime))
-        except ValueError as error:
+            slot, service, ingress, egress, lifetime, *demand = row
+            ends = (FREE if end == ANY else int(end) for end in (ingress, egress))
+            request = Request(int(slot), service, *ends, float(lifetime), *demand)
+        except (ValueError, TypeError) as error:
             raise UnreadableRun(f"{where}: {error}") from error
         earliest = requests[-1].slot if requests else 0
         if not earliest <= request.slot < horizon:
             raise UnreadableRun(f"{where}: slot {request.slot} is out of order or beyond the horizon {horizon}")
         if service not in services:
             raise UnreadableRun(f"{where}: unknown service {service!r}")
-        if not (0 <= request.ingress < nodes and 0 <= request.egress < nodes and ingress != egress):
-            raise UnreadableRun(f"{where}: ingress {ingress} and egress {egress} are not two nodes of the network")
+        if not (FREE <= request.ingress < nodes and FREE <= request.egress < nodes):
+            raise UnreadableRun(f"{where}: ingress {ingress} and egress {egress} are not nodes of the network")
         if not 0 < request.lifetime < math.inf:
             raise UnreadableRun(f"{where}: the lifetime {lifetime} is not positive")
         requests.append(request)

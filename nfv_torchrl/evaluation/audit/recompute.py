@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from nfv_torchrl.evaluation.audit.files import RunFiles, is_number
+from nfv_torchrl.evaluation.audit.files import RunFiles, Service, is_number
 from nfv_torchrl.evaluation.audit.rejections import REASONS
 from nfv_torchrl.evaluation.audit.replay import Answer, Replayed
 from nfv_torchrl.vocabulary import TABLE, find, in_place
@@ -141,14 +141,13 @@ def _delay(decided: Decided) -> float | None:
 
 @recomputes("vm_utilisation")
 def _vm_use(decided: Decided) -> float:
-    used, total = _vms(decided)
-    return sum(used) / total / len(used)
+    shares = _vms(decided)
+    return math.fsum(shares) / len(shares)
 
 
 @recomputes("vm_utilisation_peak")
 def _vm_peak(decided: Decided) -> float:
-    used, total = _vms(decided)
-    return max(used) / total
+    return max(_vms(decided))
 
 
 @recomputes("link_utilisation")
@@ -181,13 +180,21 @@ def offered_load(files: RunFiles) -> float:
     """
     scenario, services = files.scenario, files.services.values()
     rate, life = scenario["arrival_rate"], scenario["mean_lifetime"]
-    load = sum(each.weight * sum(each.load) for each in services) / sum(each.weight for each in services)
+    weights = sum(each.weight for each in services)
+    kinds = range(max(len(vm.capacity) for here in files.vms for vm in here))
+    loads = [sum(each.weight * _chain(each, kind) for each in services) / weights for kind in kinds]
     if scenario["workload_path"] is not None:
         count = len(files.workload)
         rate, life = count / scenario["horizon"], math.fsum(request.lifetime for request in files.workload) / count
-        load = math.fsum(sum(files.services[request.service].load) for request in files.workload) / count
+        loads = [math.fsum(_chain(files.asked(request), kind) for request in files.workload) / count for kind in kinds]
     present = rate * life * -math.expm1(-scenario["horizon"] / life)
-    return present * load / math.fsum(vm.capacity for here in files.vms for vm in here)
+    installed = [math.fsum(vm.capacity[kind] for here in files.vms for vm in here) for kind in kinds]
+    return max(present * load / there for load, there in zip(loads, installed, strict=True))
+
+
+def _chain(asked: Service, kind: int) -> float:
+    """What a whole chain takes of a kind."""
+    return sum(amounts[kind] for amounts in asked.load)
 
 
 def compare(files: RunFiles, recomputed: dict[str, float | None]) -> None:
@@ -218,10 +225,12 @@ def _agree(stated: Any, value: float | None) -> bool:
     return is_number(stated) and math.isclose(stated, value, rel_tol=TOLERANCE, abs_tol=1e-12)
 
 
-def _vms(decided: Decided) -> tuple[list[int], int]:
-    """What VMs carry in every counted slot, and what they could."""
-    total = sum(vm.units for here in decided.files.vms for vm in here)
-    return decided.run.vm_used[decided.files.scenario["warmup"] :], total
+def _vms(decided: Decided) -> list[float]:
+    """Share of what VMs could carry that they carry in every counted slot, the mean over the kinds of resources."""
+    kinds = range(len(decided.run.vm_used[0]))
+    total = [sum(vm.units[kind] for here in decided.files.vms for vm in here) for kind in kinds]
+    counted = decided.run.vm_used[decided.files.scenario["warmup"] :]
+    return [sum(used[kind] / total[kind] for kind in kinds) / len(kinds) for used in counted]
 
 
 def _links(decided: Decided) -> tuple[list[int], int]:

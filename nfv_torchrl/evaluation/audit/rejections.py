@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from nfv_torchrl.evaluation.audit.files import Request, RunFiles, Service, is_index
-from nfv_torchrl.evaluation.audit.rules import STATED_DELAY_TOLERANCE, Resource, rule_broken
+from nfv_torchrl.evaluation.audit.files import FREE, Link, Request, RunFiles, is_index
+from nfv_torchrl.evaluation.audit.rules import STATED_DELAY_TOLERANCE, Progress, Resource, may_name, rule_broken
 
 REASONS = (
     "link_capacity", "vm_capacity", "delay", "step_limit", "no_feasible_action", "rejected_by_policy", "invalid_action",
@@ -32,7 +32,13 @@ class _State:
     placed: int = 0
     elapsed: float = 0.0
     steps: int = 0
-    taken: dict[Resource, int] = field(default_factory=dict)
+    taken: dict[tuple[Resource, int], int] = field(default_factory=dict)  # by resource and kind
+    stands_on: frozenset[int] = frozenset()
+
+    @property
+    def progress(self) -> Progress:
+        """Where it is, for the rules."""
+        return Progress(self.node, self.placed, self.stands_on)
 
 
 class Rejections:
@@ -40,16 +46,17 @@ class Rejections:
 
     Args:
         files: the run.
-        left: whole units of a resource that are free now, 0 if it has failed.
+        left: whole units of a resource of a kind (0 for links) that are free now, 0 if it has failed.
     """
 
-    def __init__(self, files: RunFiles, left: Callable[[Resource], int]) -> None:
+    def __init__(self, files: RunFiles, left: Callable[[Resource, int], int]) -> None:
         self.files, self.left = files, left
         self.neighbours: list[list[int]] = [[] for _ in files.vms]
         for a, b in files.links:
             self.neighbours[a].append(b)
             self.neighbours[b].append(a)
-        self._to_egress: dict[tuple[str, int], list[float]] = {}
+        self.neighbours = [sorted(set(around)) for around in self.neighbours]
+        self._to_egress: dict[tuple[float, int], list[float]] = {}
 
     def reasons(self, request: Request, tried: Any) -> list[str]:
         """All reasons that fit, sorted: one, or two where a delay lies within rounding of the limit.
@@ -61,7 +68,7 @@ class Rejections:
         if not isinstance(tried, list) or not tried:
             raise Contradiction(f"is {tried!r}, not the steps up to the one that was refused")
         found, problems = set(), []
-        tolerable = self.files.services[request.service].tolerable_delay
+        tolerable = self.files.asked(request).tolerable_delay
         for slack in (-STATED_DELAY_TOLERANCE, STATED_DELAY_TOLERANCE):
             try:
                 found.add(self._reason(_State(request, request.ingress, tolerable + slack), tried))
@@ -84,8 +91,9 @@ class Rejections:
         raise Contradiction("passes every check to its last step, which refuses nothing")
 
     def _arrived(self, state: _State) -> bool:
-        chain = self.files.services[state.request.service].load
-        return state.node == state.request.egress and state.placed == len(chain)
+        chain = self.files.asked(state.request).load
+        ended = state.node == state.request.egress or (state.request.egress == FREE and state.node != FREE)
+        return ended and state.placed == len(chain)
 
     def _answer(self, state: _State, number: int, step: Any) -> str | None:
         """The reason that an entry of ``tried`` is refused for, None if it passes."""
@@ -107,65 +115,72 @@ class Rejections:
         return "rejected_by_policy" if self.files.scenario["admission_control"] else "invalid_action"
 
     def _steps_from(self, state: _State) -> Iterator[list[Any]]:
-        for node in (state.node, *self.neighbours[state.node]):
-            for vm in range(len(self.files.vms[node])):
+        nodes = range(len(self.files.vms)) if state.node == FREE else (state.node, *self.neighbours[state.node])
+        for node in nodes:
+            for vm in range(max(len(self.files.vms[node]), 1)):
                 yield [node, vm, None]
                 yield [node, vm, state.placed]
 
     def _possible(self, state: _State, step: list[Any]) -> bool:
         """Whether the mask of the run allows a step."""
-        node, vm, _ = step
-        known = 0 <= node < len(self.files.vms) and 0 <= vm < len(self.files.vms[node])
-        if not known or rule_broken(self.files, state.request, state.node, state.placed, step):
+        if not may_name(self.files, step) or rule_broken(self.files, state.request, state.progress, step):
             return False
         if self.files.scenario["mask"] == "adjacency":
             return True
-        after = state.elapsed + self._delay(state, step) + self._delay_to_egress(state.request)[node]
+        after = state.elapsed + self._delay(state, step)
+        if state.request.egress != FREE:
+            after += self._delay_to_egress(state.request)[step[0]]
         return self._check(state, step) is None and after <= state.budget
 
     def _check(self, state: _State, step: list[Any]) -> str | None:
         """The checks of Algorithm 3 in their order, against what is left, the walk's own use included."""
-        for resource, amount in self._uses(state, step):
-            if self.left(resource) - state.taken.get(resource, 0) < amount:
+        for (resource, kind), amount in self._uses(state, step):
+            if self.left(resource, kind) - state.taken.get((resource, kind), 0) < amount:
                 return f"{resource[0]}_capacity"
         if state.elapsed + self._delay(state, step) > state.budget:
             return "delay"
         return "step_limit" if state.steps + 1 > self.files.scenario["max_steps"] else None
 
-    def _uses(self, state: _State, step: list[Any]) -> Iterator[tuple[Resource, int]]:
+    def _uses(self, state: _State, step: list[Any]) -> Iterator[tuple[tuple[Resource, int], int]]:
         node, vm, function = step
-        service = self._service(state)
-        if node != state.node:
-            yield ("link", min(node, state.node), max(node, state.node)), service.rate_units
+        service = self.files.asked(state.request)
+        link = self._link(state, node)
+        if link is not None:
+            yield (("link", *link[0]), 0), service.rate_units[state.placed]
         if function is not None:
-            yield ("vm", node, vm), service.load_units[function]
+            for kind, amount in enumerate(service.load_units[function]):
+                yield (("vm", node, vm), kind), amount
+
+    def _link(self, state: _State, node: int) -> tuple[tuple[int, int], Link] | None:
+        """The link that a step to ``node`` uses, None if it uses none."""
+        return None if state.node in (node, FREE) else self.files.link_between(state.node, node)
 
     def _delay(self, state: _State, step: list[Any]) -> float:
         node, vm, function = step
-        service, delay = self._service(state), 0.0
-        if node != state.node:
-            link = self.files.links[min(node, state.node), max(node, state.node)]
-            delay += link.delay + 1000 * service.rate / link.capacity
+        service, delay = self.files.asked(state.request), 0.0
+        link = self._link(state, node)
+        if link is not None:
+            delay += link[1].delay + 1000 * service.rate[state.placed] / link[1].capacity
         if function is not None:
-            delay += 1000 * service.load[function] / self.files.vms[node][vm].capacity
+            work = 1000 * service.work[function] / self.files.vms[node][vm].capacity[0]
+            delay += service.own_delay[function] + work
         return delay
 
     def _advance(self, state: _State, step: list[Any]) -> None:
         state.elapsed += self._delay(state, step)
         for resource, amount in self._uses(state, step):
             state.taken[resource] = state.taken.get(resource, 0) + amount
+        if step[2] is not None:
+            state.stands_on |= {step[0]}
         state.node = step[0]
         state.placed += step[2] is not None
         state.steps += 1
 
-    def _service(self, state: _State) -> Service:
-        return self.files.services[state.request.service]
-
     def _delay_to_egress(self, request: Request) -> list[float]:
-        """ms from each node to the egress over links alone, capacities ignored (Dijkstra)."""
-        key = (request.service, request.egress)
+        """ms from each node to the egress over links alone at the least rate, capacities ignored (Dijkstra)."""
+        key = (min(self.files.asked(request).rate), request.egress)
         if key not in self._to_egress:
-            self._to_egress[key] = self._shortest(self.files.services[request.service].rate, request.egress)
+            self._to_egress[key] = self._shortest(*key)
         return self._to_egress[key]
 
     def _shortest(self, rate: float, egress: int) -> list[float]:
@@ -175,7 +190,7 @@ class Rejections:
         while waiting:
             so_far, node = heapq.heappop(waiting)
             for there in self.neighbours[node] if so_far <= best[node] else ():
-                link = self.files.links[min(node, there), max(node, there)]
+                _, link = self.files.link_between(there, node)
                 delay = so_far + link.delay + 1000 * rate / link.capacity
                 if delay < best[there]:
                     best[there] = delay

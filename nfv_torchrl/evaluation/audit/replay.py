@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from nfv_torchrl.evaluation.audit.files import Request, RunFiles, is_index, is_number
+from nfv_torchrl.evaluation.audit.files import ANY, FREE, PAPER_KINDS, Request, RunFiles, is_index, is_number
 from nfv_torchrl.evaluation.audit.rejections import REASONS, Contradiction, Rejections
-from nfv_torchrl.evaluation.audit.rules import STATED_DELAY_TOLERANCE, Resource, rule_broken
+from nfv_torchrl.evaluation.audit.rules import STATED_DELAY_TOLERANCE, Progress, Resource, may_name, rule_broken
 
 COST_TOLERANCE = 1e-9
 """Relative: costs are sums of the same products, in another order at most."""
@@ -31,7 +31,7 @@ class Event(NamedTuple):
 class ReplayedWalk(NamedTuple):
     """What an accepted request uses, as recomputed from its steps: whole units, $, ms, links."""
 
-    uses: list[tuple[Resource, int]]
+    uses: list[tuple[tuple[Resource, int], int]]  # by resource and kind
     cost: float
     delay: float
     hops: int
@@ -58,7 +58,7 @@ class Replayed:
     """All answers, and for each slot the cycles/s and bit/s in use after its arrivals."""
 
     answers: list[Answer] = field(default_factory=list)
-    vm_used: list[int] = field(default_factory=list)
+    vm_used: list[tuple[int, ...]] = field(default_factory=list)  # of each kind
     link_used: list[int] = field(default_factory=list)
 
 
@@ -77,7 +77,7 @@ def _report_unpaired(files: RunFiles) -> None:
     decided, asked = len(files.decisions), len(files.workload)
     files.problems.add(f"decisions.jsonl answers {decided} requests, workload.csv has {asked}")
     for line, (decision, request) in enumerate(zip(files.decisions, files.workload, strict=False), start=1):
-        if decision is not None and _identity(decision) != tuple(request):
+        if decision is not None and _identity(decision) != _asked_for(request):
             files.problems.add(f"{_where(line)}: not the request of workload.csv line {line + 1}; none, or twice?")
             return
     line = min(decided, asked) + 1
@@ -90,9 +90,15 @@ def _where(line: int) -> str:
 
 def _identity(decision: dict[str, Any]) -> tuple[Any, ...]:
     """As a row of the workload has it; what only equals a number of it (true, 1.0) comes back as text."""
-    slot, service, ingress, egress, lifetime = (decision.get(key) for key in Request._fields)
+    slot, service, ingress, egress, lifetime = (decision.get(key) for key in Request._fields[:5])
     slot, ingress, egress = (value if is_index(value) else str(value) for value in (slot, ingress, egress))
     return slot, service, ingress, egress, lifetime if is_number(lifetime) else str(lifetime)
+
+
+def _asked_for(request: Request) -> tuple[Any, ...]:
+    """The same of a request, an end that is free by its word."""
+    ends = (ANY if end == FREE else end for end in (request.ingress, request.egress))
+    return request.slot, request.service, *ends, request.lifetime
 
 
 class _Replay:
@@ -101,15 +107,19 @@ class _Replay:
     def __init__(self, files: RunFiles) -> None:
         self.files = files
         self.problems = files.problems
-        self.free: dict[Resource, int] = {
-            ("vm", node, index): vm.units for node, here in enumerate(files.vms) for index, vm in enumerate(here)
+        self.free: dict[tuple[Resource, int], int] = {
+            (("vm", node, index), kind): units
+            for node, here in enumerate(files.vms)
+            for index, vm in enumerate(here)
+            for kind, units in enumerate(vm.units)
         }
-        self.free |= {("link", *ends): link.units for ends, link in files.links.items()}
+        self.free |= {(("link", *ends), 0): link.units for ends, link in files.links.items()}
+        self.kinds = len(files.scenario.get("resources") or PAPER_KINDS)
         self.down: set[Resource] = set()
         self.users: dict[Resource, set[int]] = defaultdict(set)
         self.leaving: dict[int, list[int]] = defaultdict(list)
-        self.in_use = {"vm": 0, "link": 0}
-        self.rejections = Rejections(files, lambda resource: 0 if resource in self.down else self.free[resource])
+        self.in_use: dict[tuple[str, int], int] = defaultdict(int)
+        self.rejections = Rejections(files, self._left)
         self.done = Replayed()
 
     def run(self) -> Replayed:
@@ -125,10 +135,14 @@ class _Replay:
             while upcoming is not None and upcoming[1][0].slot == slot:
                 self._answer(upcoming[0], *upcoming[1])
                 upcoming = next(requests, None)
-            self.done.vm_used.append(self.in_use["vm"])
-            self.done.link_used.append(self.in_use["link"])
+            self.done.vm_used.append(tuple(self.in_use["vm", kind] for kind in range(self.kinds)))
+            self.done.link_used.append(self.in_use["link", 0])
         self._check_interruptions()
         return self.done
+
+    def _left(self, resource: Resource, kind: int) -> int:
+        """Whole units that are free, 0 if the resource has failed."""
+        return 0 if resource in self.down else self.free[resource, kind]
 
     # Failures
 
@@ -155,7 +169,7 @@ class _Replay:
             pair = entry.get(kind)
             if isinstance(pair, list) and len(pair) == 2 and all(map(is_index, pair)):
                 resource = (kind, *(sorted(pair) if kind == "link" else pair))
-                return resource if resource in self.free else None
+                return resource if (resource, 0) in self.free else None
         return None
 
     def _apply(self, slot: int, event: Event) -> None:
@@ -163,11 +177,14 @@ class _Replay:
             state = "working" if event.repaired else "failed"
             what = f"{_name(event.resource)} is {state} already"
             self.problems.add(f"scenario.json failure_timeline: slot {slot}: {what}")
+        kind, first, second = event.resource
+        # With full duplex a link fails in both directions.
+        directions = [event.resource, *([(kind, second, first)] if kind == "link" and self.files.full_duplex else [])]
         if event.repaired:
-            self.down.discard(event.resource)
+            self.down.difference_update(directions)
             return
-        self.down.add(event.resource)
-        for index in sorted(self.users[event.resource]):
+        self.down.update(directions)
+        for index in sorted({index for direction in directions for index in self.users[direction]}):
             self.done.answers[index].interrupted_at = slot
             self._give_back(index)
 
@@ -182,21 +199,22 @@ class _Replay:
 
     # The books
 
-    def _take(self, where: str, resource: Resource, amount: int) -> None:
+    def _take(self, where: str, place: tuple[Resource, int], amount: int) -> None:
+        resource, kind = place
         if resource in self.down:
             self.problems.add(f"{where}: uses {_name(resource)}, which has failed")
-        elif self.free[resource] < amount:
+        elif self.free[place] < amount:
             self.problems.add(
                 f"{where}: exceeds the capacity of {_name(resource)}: needs {amount / 1e6:g}, "
-                f"{self.free[resource] / 1e6:g} is left"
+                f"{self.free[place] / 1e6:g} is left"
             )
-        self.free[resource] -= amount
-        self.in_use[resource[0]] += amount
+        self.free[place] -= amount
+        self.in_use[resource[0], kind] += amount
 
     def _give_back(self, index: int) -> None:
-        for resource, amount in self.done.answers[index].walk.uses:
-            self.free[resource] += amount
-            self.in_use[resource[0]] -= amount
+        for (resource, kind), amount in self.done.answers[index].walk.uses:
+            self.free[resource, kind] += amount
+            self.in_use[resource[0], kind] -= amount
             self.users[resource].discard(index)
 
     # The answers
@@ -210,7 +228,7 @@ class _Replay:
         if decision.keys() != DECISION_KEYS:
             self.problems.add(f"{where}: missing or unknown keys {sorted(decision.keys() ^ DECISION_KEYS)}")
             return
-        if _identity(decision) != tuple(request):
+        if _identity(decision) != _asked_for(request):
             self.problems.add(f"{where}: {_identity(decision)} is not the request of workload.csv line {index + 2}")
         answer.accepted, answer.reason = decision["accepted"] is True, decision["reason"]
         if not answer.accepted:
@@ -222,7 +240,7 @@ class _Replay:
             self.problems.add(f"{where}: accepted, yet tried is not null")
         answer.walk = self._walk(where, request, decision["steps"])
         self._check_stated(where, request, decision, answer.walk)
-        for resource, _ in answer.walk.uses:
+        for (resource, _), _ in answer.walk.uses:
             self.users[resource].add(index)
         self.leaving[request.departure].append(index)
 
@@ -257,45 +275,47 @@ class _Replay:
             self.problems.add(f"{where}: the cost is {cost}, the steps cost {walk.cost!r}")
         if not is_number(delay) or abs(delay - walk.delay) > STATED_DELAY_TOLERANCE:
             self.problems.add(f"{where}: the delay is {delay} ms, the steps take {walk.delay!r} ms")
-        tolerable = self.files.services[request.service].tolerable_delay
+        tolerable = self.files.asked(request).tolerable_delay
         if walk.delay > tolerable + STATED_DELAY_TOLERANCE:
             self.problems.add(f"{where}: the steps take {walk.delay!r} ms, {tolerable} ms are tolerable")
 
     def _walk(self, where: str, request: Request, steps: Any) -> ReplayedWalk:
         """Follow the steps, reserve what they use, and recompute cost and delay; stops where they make no sense."""
-        service = self.files.services[request.service]
-        node, placed = request.ingress, 0
-        uses: list[tuple[Resource, int]] = []
+        service = self.files.asked(request)
+        at = Progress(request.ingress, 0)
+        uses: list[tuple[tuple[Resource, int], int]] = []
         cost = delay = 0.0
         hops = 0
         for number, step in self._well_formed(where, steps):
-            at = f"{where} step {number}"
+            here = f"{where} step {number}"
             to, index, function = step
-            problem = rule_broken(self.files, request, node, placed, step)
+            problem = rule_broken(self.files, request, at, step)
             if problem:
-                self.problems.add(f"{at}: {problem}")
-            if to != node:
-                ends = (min(node, to), max(node, to))
-                link = self.files.links.get(ends)
-                if link is None:
+                self.problems.add(f"{here}: {problem}")
+            if at.node not in (to, FREE):
+                found = self.files.link_between(at.node, to)
+                if found is None:
                     break
+                ends, link = found
+                segment = min(at.placed, len(service.load))
                 hops += 1
-                cost += link.unit_cost * service.rate
-                delay += link.delay + 1000 * service.rate / link.capacity
-                uses.append((("link", *ends), service.rate_units))
-                self._take(at, *uses[-1])
+                cost += link.unit_cost * service.rate[segment]
+                delay += link.delay + 1000 * service.rate[segment] / link.capacity
+                uses.append(((("link", *ends), 0), service.rate_units[segment]))
+                self._take(here, *uses[-1])
             if function is not None and function < len(service.load):
                 vm = self.files.vms[to][index]
-                cost += vm.unit_cost * service.load[function]
-                delay += 1000 * service.load[function] / vm.capacity
-                uses.append((("vm", to, index), service.load_units[function]))
-                self._take(at, *uses[-1])
-                placed += 1
-            node = to
-        if node != request.egress:
-            self.problems.add(f"{where}: the walk ends on node {node}, not on the egress {request.egress}")
-        if placed != len(service.load):
-            self.problems.add(f"{where}: {placed} of {len(service.load)} functions are placed")
+                cost += sum(price * amount for price, amount in zip(vm.unit_cost, service.load[function], strict=True))
+                delay += service.own_delay[function] + 1000 * service.work[function] / vm.capacity[0]
+                for kind, amount in enumerate(service.load_units[function]):
+                    uses.append(((("vm", to, index), kind), amount))
+                    self._take(here, *uses[-1])
+                at = Progress(to, at.placed + 1, at.stands_on | {to})
+            at = at._replace(node=to)
+        if request.egress != FREE and at.node != request.egress:
+            self.problems.add(f"{where}: the walk ends on node {at.node}, not on the egress {request.egress}")
+        if at.placed != len(service.load):
+            self.problems.add(f"{where}: {at.placed} of {len(service.load)} functions are placed")
         return ReplayedWalk(uses, cost, delay, hops)
 
     def _well_formed(self, where: str, steps: Any) -> Iterator[tuple[int, list[Any]]]:
@@ -316,7 +336,7 @@ class _Replay:
             ):
                 self.problems.add(f"{where} step {number}: {step} is not [node, vm, function or null]")
                 return
-            if ("vm", step[0], step[1]) not in self.free:
+            if not may_name(self.files, step):
                 self.problems.add(f"{where} step {number}: node {step[0]} has no VM {step[1]}")
                 return
             yield number, step

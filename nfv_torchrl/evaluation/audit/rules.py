@@ -2,32 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
-from nfv_torchrl.evaluation.audit.files import Request, RunFiles
+from nfv_torchrl.evaluation.audit.files import FREE, Request, RunFiles
 
 STATED_DELAY_TOLERANCE = 1e-6
 """ms."""
 
 Resource = tuple[str, int, int]
-"""("vm", node, index) or ("link", smaller end, larger end)."""
+"""("vm", node, index) or ("link", smaller end, larger end); with full duplex ("link", tail, head)."""
 
 
-def rule_broken(files: RunFiles, request: Request, node: int, placed: int, step: list[Any]) -> str | None:
-    """What is wrong with going from ``node`` to ``step`` when ``placed`` functions are placed; None if nothing."""
+class Progress(NamedTuple):
+    """Where a walk is: its node (``FREE``: off the network), functions placed, and the nodes that they stand on."""
+
+    node: int
+    placed: int
+    stands_on: frozenset[int] = frozenset()
+
+
+def rule_broken(files: RunFiles, request: Request, at: Progress, step: list[Any]) -> str | None:
+    """What is wrong with going on from ``at`` by ``step``; None if nothing."""
     to, _, function = step
-    chain = len(files.services[request.service].load)
-    if node == request.egress and placed == chain:
+    node, placed = at.node, at.placed
+    chain = len(files.asked(request).load)
+    if placed == chain and (node == request.egress or (request.egress == FREE and node != FREE)):
         return "comes after the walk has ended at the egress"
-    if to == node and function is None:
+    if node == FREE:
+        if function is None:
+            return "is the first step of a request with a free ingress and places nothing"
+    elif to == node and function is None:
         return f"stays on node {node} and places nothing"
-    if to == node and node != request.egress and not files.scenario["colocation"]:
+    elif to == node and node != request.egress and not (files.scenario["colocation"] or files.distinct):
         return f"places again on node {node}, but colocation is off"
-    if to != node and node == request.egress:
+    elif to != node and node == request.egress and not files.distinct:
         return f"leaves the egress {node}, where the walk has to end"
-    if to != node and (min(node, to), max(node, to)) not in files.links:
+    elif to != node and files.link_between(node, to) is None:
         return f"there is no link between {node} and {to}"
+    if function is not None and files.distinct and to in at.stands_on:
+        return f"places a second function of the request on node {to}, and functions may not share a node"
     if function is not None and (function != placed or placed == chain):
         expected = f"function {placed} is next" if placed < chain else "all functions are placed"
         return f"places function {function}, but {expected}"
     return None
+
+
+def may_name(files: RunFiles, step: list[Any]) -> bool:
+    """Whether a step names a VM that is there; one that forwards to a node without VMs names VM 0."""
+    node, vm, function = step
+    if not 0 <= node < len(files.vms):
+        return False
+    here = len(files.vms[node])
+    return 0 <= vm < (max(here, 1) if function is None else here)
