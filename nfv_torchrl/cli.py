@@ -1,4 +1,4 @@
-"""The command ``nfv-torchrl``: lists, runs and copies recipes, in a clone or from an installed wheel."""
+"""The command ``nfv-torchrl``: lists, runs and copies recipes, in a clone or from a wheel; reads network files."""
 
 from __future__ import annotations
 
@@ -14,6 +14,11 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import write_atomically
 
 PACKAGE = Path(__file__).parent
+NETWORK_COMMANDS = {
+    "show": "what a network file holds, and a picture: nfv-torchrl show my_network.gml --output my_network.png",
+    "convert": "a network file as JSON, its demands as CSV: nfv-torchrl convert my_network.gml my_network.json",
+    "scan": "which of many network files can be read: nfv-torchrl scan my_folder topohub:sndlib",
+}
 
 
 def recipes_folder() -> Path:
@@ -75,6 +80,11 @@ def copy_recipe(name: str, target: Path) -> None:
     print(f"{target} is yours to change.")
 
 
+def use_network_files(command: str, arguments: Sequence[str]) -> None:
+    """Become a Python process that shows, converts or scans network files."""
+    os.execv(sys.executable, [sys.executable, "-m", "nfv_torchrl.evaluation.network_files", command, *arguments])
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="nfv-torchrl", description=__doc__)
@@ -86,9 +96,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     copy = commands.add_parser("copy", help="copy a recipe to change it: nfv-torchrl copy dqn my_dqn.py")
     copy.add_argument("recipe", help="name of a recipe, or config for the folder of all configs")
     copy.add_argument("target", type=Path)
+    for command, help in NETWORK_COMMANDS.items():
+        networks = commands.add_parser(command, help=help, add_help=False)
+        networks.add_argument("arguments", nargs=argparse.REMAINDER)
     given = parser.parse_args(arguments)
     try:
-        if given.command == "list":
+        if given.command in NETWORK_COMMANDS:
+            use_network_files(given.command, given.arguments)
+        elif given.command == "list":
             list_recipes()
         elif given.command == "run":
             run_recipe(given.recipe, given.overrides)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import networkx as nx
 import numpy as np
@@ -34,11 +34,23 @@ LINK_NUMBERS = ("capacity", "delay", "unit_cost")
 
 
 def shipped_topologies() -> list[str]:
-    """Names that ``read_topology`` takes besides paths: those of the files in this package, in lower case."""
+    """Names that ``read_network`` takes besides paths: those of the files in this package, in lower case."""
     return sorted(path.stem.lower() for path in TOPOLOGIES.glob("*.graphml"))
 
 
-def read_topology(
+class NetworkFile(NamedTuple):
+    """A network from a file, and what the file said: numbers by quantity, NaN where it had none, and its demands."""
+
+    substrate: Substrate
+    numbers: FileNumbers
+
+
+def read_topology(path: str | os.PathLike[str], seed: int, **options: Any) -> Substrate:
+    """The network that ``read_network`` reads, whose ``options`` these are."""
+    return read_network(path, seed, **options).substrate
+
+
+def read_network(
     path: str | os.PathLike[str],
     seed: int,
     *,
@@ -48,7 +60,7 @@ def read_topology(
     directed: str = "pairs",
     attributes: Mapping[str, Any] | None = None,
     **ranges: Any,
-) -> Substrate:
+) -> NetworkFile:
     """The network of a file, of TopoHub's package, or of a topology that ships here.
 
     A file is GraphML (``.graphml``), GML (``.gml``), node-link JSON (``.json``), of SNDlib (``.txt``, ``.xml``) or of
@@ -82,10 +94,8 @@ def read_topology(
         raise ScenarioError(f"substrate.directed: {directed!r} is unknown; use one of {', '.join(DIRECTED)}")
     drawn_from = ResourceRanges(**ranges)
     parse_mapping(attributes or {}, fibre_km_per_ms)  # before a file is read
-    given, path = path, _find(path)
-    file = translate(read_graph_file(path), attributes or {})
-    if str(given).startswith(PREFIX):
-        file = dataclasses.replace(file, source=str(given))
+    file = read_network_file(path, attributes or {})
+    path = find_network(path)
     sources = parse_mapping({**file.names, **(attributes or {})}, fibre_km_per_ms, detour)
     numbers = read_numbers(file, sources, fibre_km_per_ms)
     graph = _connected(_graph(file, numbers, directed), path, largest_component)
@@ -99,7 +109,7 @@ def read_topology(
     back = None if file.directed else back_capacities(arcs, links.ends, file.source)
     numbers.used["link"].update([] if back is None else ["back_capacity"])
     numbers.warn({"delay": DRAWN if coordinates is None else "from the coordinates of its ends"})
-    return Substrate(
+    substrate = Substrate(
         name=_name(file, path),
         labels=labels,
         **vms._asdict(),
@@ -111,12 +121,27 @@ def read_topology(
         back_capacity=back,
         ids=tuple(str(file.ids[place]) for place in kept),
     )
+    return NetworkFile(substrate, numbers)
 
 
 # -------------------------------------------------------------------- files
 
 
-def _find(path: str | os.PathLike[str]) -> Path:
+def read_network_file(path: str | os.PathLike[str], mapped: Collection[str] = ()) -> GraphFile:
+    """What a file says, with its project's names and its demands; nothing is drawn and no number read yet.
+
+    Args:
+        path: as ``read_network``.
+        mapped: quantities of which the user says where to read them.
+
+    Raises:
+        ScenarioError: the file is missing or cannot be parsed.
+    """
+    file = translate(read_graph_file(find_network(path)), mapped)
+    return dataclasses.replace(file, source=str(path)) if str(path).startswith(PREFIX) else file
+
+
+def find_network(path: str | os.PathLike[str]) -> Path:
     """The file of ``path``, be it a path, a key of TopoHub or a shipped name."""
     if str(path).startswith(PREFIX):
         return topohub_file(str(path).removeprefix(PREFIX))

@@ -11,7 +11,9 @@ import pytest
 
 from nfv_torchrl.errors import ScenarioError, ScenarioWarning
 from nfv_torchrl.scenario import Scenario, Substrate, read_topology
+from nfv_torchrl.scenario.demand_files import read_demand_series, read_demands
 from nfv_torchrl.scenario.formats import topohub
+from nfv_torchrl.scenario.formats.demands import write_demands
 from nfv_torchrl.scenario.formats.dialects import translate
 from nfv_torchrl.scenario.formats.repetita import parse_demands
 from nfv_torchrl.scenario.formats.sndlib import parse_native, parse_sndlib_xml
@@ -140,10 +142,20 @@ def test_demands_of_repetita_and_topohub():
 
 
 def test_demands_as_csv(tmp_path):
-    parse_native((FILES / "sndlib.txt").read_bytes(), "net").demands.to_csv(tmp_path / "d.csv")
+    write_demands(tmp_path / "d.csv", [read_demands(FILES / "sndlib.txt")])
     lines = (tmp_path / "d.csv").read_text().splitlines()
     assert lines[0] == "source,target,demand,unit,time"
     assert lines[2] == "Graz,Rome,20.0,Mbit/s,20040301-0010"
+
+
+def test_a_series_of_demands_is_in_order_of_time(tmp_path):
+    text = (FILES / "sndlib.txt").read_text()
+    for name, time in (("a.txt", "20040301-0015"), ("b.txt", "20040301-0005")):
+        (tmp_path / name).write_text(text.replace("20040301-0010", time))
+    assert [matrix.time for matrix in read_demand_series(tmp_path)] == ["20040301-0005", "20040301-0015"]
+    (tmp_path / "c.txt").write_text(text.replace("MBITPERSEC", "GBITPERSEC"))
+    with pytest.raises(ScenarioError, match=r"c.txt: has other nodes or another unit than .*a.txt"):
+        read_demand_series(tmp_path)
 
 
 # ---------------------------------------------------------------- refusals

@@ -77,14 +77,16 @@ class DemandMatrix:
             )
         return self.values * MBIT_PER[self.unit]
 
-    def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write columns ``source``, ``target``, ``demand``, ``unit``, ``time``, one line a demand, with all digits."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["source", "target", "demand", "unit", "time"])
-        for (u, v), value in zip(self.pairs.tolist(), self.values.tolist(), strict=True):
-            writer.writerow([self.names[u], self.names[v], value, self.unit, self.time])
-        write_atomically(path, text.getvalue())
+
+def write_demands(path: str | os.PathLike[str], series: Iterable[DemandMatrix]) -> None:
+    """Write columns ``source``, ``target``, ``demand``, ``unit``, ``time``, one line a demand, with all digits."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["source", "target", "demand", "unit", "time"])
+    for matrix in series:
+        for (u, v), value in zip(matrix.pairs.tolist(), matrix.values.tolist(), strict=True):
+            writer.writerow([matrix.names[u], matrix.names[v], value, matrix.unit, matrix.time])
+    write_atomically(path, text.getvalue())
 
 
 def demand_matrix(

@@ -26,21 +26,41 @@ def topohub_file(key: str) -> Path:
     Raises:
         ScenarioError: the package is not installed, or has no such network.
     """
-    try:
-        data = resources.files("topohub") / "data"
-    except ModuleNotFoundError:
-        raise ScenarioError(
-            f"substrate.path: {PREFIX}{key} needs the package topohub; install it with pip install topohub, or give "
-            "one of its JSON files by path"
-        ) from None
-    path = Path(str(data)) / f"{key}.json"
+    data = _folder(key)
+    path = data / f"{key}.json"
     if not _KEY.fullmatch(key) or not path.is_file():
-        groups = sorted(folder.name for folder in Path(str(data)).iterdir() if folder.is_dir())
+        groups = sorted(folder.name for folder in data.iterdir() if folder.is_dir())
         raise ScenarioError(
             f"substrate.path: TopoHub has no network {shown(key)}; keys are a group and a name, such as "
             f"sndlib/germany50 or gabriel/25/0, of the groups {', '.join(groups)}"
         )
     return path
+
+
+def topohub_keys(group: str) -> list[str]:
+    """The keys of all networks in a group of TopoHub, such as ``sndlib``, in order.
+
+    Raises:
+        ScenarioError: the package is not installed, or has no such group.
+    """
+    data = _folder(group)
+    keys = sorted(str(path.relative_to(data).with_suffix("").as_posix()) for path in data.rglob("*.json"))
+    found = [key for key in keys if key.startswith(f"{group}/")]
+    if not found:
+        groups = ", ".join(sorted({key.split("/")[0] for key in keys}))
+        raise ScenarioError(f"{PREFIX}{group}: TopoHub has no such group; it has {groups}")
+    return found
+
+
+def _folder(key: str) -> Path:
+    """The package's folder of JSON files."""
+    try:
+        return Path(str(resources.files("topohub") / "data"))
+    except ModuleNotFoundError:
+        raise ScenarioError(
+            f"substrate.path: {PREFIX}{key} needs the package topohub; install it with pip install topohub, or give "
+            "one of its JSON files by path"
+        ) from None
 
 
 def is_topohub(file: GraphFile) -> bool:

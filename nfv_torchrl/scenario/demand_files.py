@@ -1,0 +1,47 @@
+"""Demand matrices from files: of one network file, of a file of demands, or of a folder that holds one a time."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.files import read_bytes
+from nfv_torchrl.scenario.formats.demands import DemandMatrix
+from nfv_torchrl.scenario.formats.graph import MAX_NETWORK_BYTES
+from nfv_torchrl.scenario.formats.repetita import parse_demands
+from nfv_torchrl.scenario.topology_zoo import read_network_file
+
+SERIES = (".xml", ".txt", ".demands")
+
+
+def read_demands(path: str | os.PathLike[str]) -> DemandMatrix:
+    """The demands of Repetita's ``.demands``, or of a network file of SNDlib or TopoHub, which may have no links.
+
+    Raises:
+        ScenarioError: the file cannot be read, or has no demands.
+    """
+    if Path(path).suffix.lower() == ".demands":
+        return parse_demands(read_bytes(Path(path), MAX_NETWORK_BYTES), str(path))
+    demands = read_network_file(path).demands
+    if demands is None:
+        raise ScenarioError(f"{path}: holds no demands; those of SNDlib, Repetita (.demands) and TopoHub are read")
+    return demands
+
+
+def read_demand_series(folder: str | os.PathLike[str]) -> list[DemandMatrix]:
+    """The demands of all files in ``folder``, in order of their times, or of their names if they have none.
+
+    Raises:
+        ScenarioError: no such files, or two of them that differ in nodes or unit.
+    """
+    paths = sorted(path for path in Path(folder).iterdir() if path.suffix.lower() in SERIES)
+    if not paths:
+        raise ScenarioError(f"{folder}: holds no files ending in {', '.join(SERIES)}")
+    series = [read_demands(path) for path in paths]
+    for matrix in series[1:]:
+        if (matrix.names, matrix.unit) != (series[0].names, series[0].unit):
+            raise ScenarioError(
+                f"{matrix.source}: has other nodes or another unit than {series[0].source}; keep one kind"
+            )
+    return sorted(series, key=lambda matrix: matrix.time)
