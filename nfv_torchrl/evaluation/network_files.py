@@ -7,6 +7,7 @@ its demands as CSV. ``scan`` says of many files which can be read, and names tho
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import warnings
 from collections import Counter
@@ -48,7 +49,7 @@ def link_load(substrate: Substrate, demands: DemandMatrix) -> tuple[np.ndarray, 
         if start not in paths:
             paths[start] = nx.single_source_dijkstra_path(graph, start, weight="delay")
         path = paths[start][end]
-        for hop in zip(path, path[1:], strict=False):
+        for hop in itertools.pairwise(path):
             load[link_of[frozenset(hop)]] += value
     return load, lost
 

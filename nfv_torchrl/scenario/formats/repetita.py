@@ -1,7 +1,8 @@
 """Networks (``.graph``) and demands (``.demands``) of Repetita (github.com/svissicchio/Repetita).
 
 The files name no units. Bandwidths are read as kbit/s: its networks from the Topology Zoo have 9,953,280 for an OC-192.
-Delays are read as microseconds, of which 1,000 km of fibre has some 5,000.
+Delays are read as microseconds: those of its networks from the Topology Zoo are the distance of a link's ends over
+twice the speed of light, so they are a third of what light in fibre needs.
 """
 
 from __future__ import annotations
