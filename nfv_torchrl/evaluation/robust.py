@@ -62,7 +62,8 @@ def performance_profile(
     drawn = np.sort(_resampled(scores, seed).reshape(DRAWS, -1), axis=1)
     above = np.array([1 - np.searchsorted(row, taus, side="right") / drawn.shape[1] for row in drawn])
     low, high = np.quantile(above, _ends(confidence), axis=0)
-    return [Interval(*map(float, point), len(scores)) for point in zip(shares, low, high, strict=True)]
+    points = zip(shares, low, high, strict=True)
+    return [Interval(float(share), float(least), float(most), len(scores)) for share, least, most in points]
 
 
 def _resampled(scores: np.ndarray, seed: int) -> np.ndarray:

@@ -160,7 +160,7 @@ def set_caption(figure: Figure, caption: str) -> float:
     room = CAPTION_LINE * (1 + text.count("\n")) + CAPTION_MARGIN
     height = figure.get_figheight() + room
     figure.set_figheight(height)
-    figure.get_layout_engine().set(rect=(0, room / height, 1, 1 - room / height))  # type: ignore[union-attr]
+    figure.get_layout_engine().set(rect=(0, room / height, 1, 1 - room / height))  # type: ignore[union-attr, call-arg]
     figure.text(0.01, CAPTION_MARGIN / 2 / height, text, fontsize=8, color="#444444", va="bottom", linespacing=1.2)
     return room
 

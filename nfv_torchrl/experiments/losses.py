@@ -85,9 +85,11 @@ def table_rows(compared: Compared, reference: str) -> Rows:
         aar = {seed: fmean(scores(cell, store, "aar")) for seed, cell in runs.items()}
         rows += _own_rows(name, runs, store)
         other = compared.runs(reference) if reference in compared.tested else {}
-        pairs = [(aar[seed], fmean(scores(other[seed], store, "aar"))) for seed in runs if seed in other]
-        if name != reference and pairs:
-            rows.append(result_row({}, name, "aar_difference", paired_difference(*zip(*pairs, strict=True)), reference))
+        shared = [seed for seed in runs if seed in other]
+        if name != reference and shared:
+            theirs = [fmean(scores(other[seed], store, "aar")) for seed in shared]
+            difference = paired_difference([aar[seed] for seed in shared], theirs)
+            rows.append(result_row({}, name, "aar_difference", difference, reference))
         above = mean_interval([value - lowest for value in aar.values()])
         rows.append(result_row({}, name, "aar_difference", above, FLOOR))
         rows += _effort_rows(name, [compared.trained[name][seed] for seed in runs], store)

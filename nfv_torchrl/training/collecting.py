@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -175,9 +175,13 @@ class MultiSync(Single):
         assert self.collector is not None
         if self.failure is None:
             try:
-                self.collector.update_policy_weights_()
+                self._send()
             except Exception as error:  # whatever the end of a process turns into
                 self.failure = error
+
+    def _send(self) -> None:
+        assert self.collector is not None
+        self.collector.update_policy_weights_()
 
     def _share(self, number: int) -> tuple[list[Scenario], int, int]:
         """Scenarios and number of environments of a worker, and the number of its first."""
@@ -345,9 +349,10 @@ class Ray(MultiSync):
         from torchrl.collectors.distributed import RayCollector
 
         self._connect()
-        return RayCollector(
+        self._policy = policy
+        collector = RayCollector(
             self._parts(),
-            policy,
+            copy.deepcopy(policy).to("cpu"),  # a worker may have no GPU
             frames_per_batch=self.num_envs * self.steps,
             total_frames=2**62,  # of -1 this class would collect nothing
             policy_device="cpu",
@@ -357,7 +362,20 @@ class Ray(MultiSync):
             collector_kwargs={"auto_register_policy_transforms": False},
             remote_configs={"num_cpus": self.cpus},
             sync=True,
+            weight_sync_schemes={},  # Ray itself carries weights, see ``_send``
         )
+        collector._weight_sync_initialized = True
+        return collector
+
+    def _send(self) -> None:
+        """Put one copy of the weights in Ray's object store, for all workers.
+
+        TorchRL's own way opens a ``torch.distributed`` group beside Ray: further ports between the machines, and 60 s
+        for all to join.
+        """
+        weights = {key: value.to("cpu") for key, value in self._policy.state_dict().items()}
+        place, workers = self._ray.put(weights), cast(Any, self.collector).remote_collectors
+        self._ray.get([worker.receive_policy.remote(place) for worker in workers])
 
     def _keys(self) -> Sequence[Any]:
         return range(self.workers)

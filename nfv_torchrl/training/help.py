@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from hydra import compose
 from omegaconf import DictConfig, OmegaConf
@@ -65,8 +65,8 @@ def _groups(text: str, config: Path) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
     waiting = [text]
     while waiting:
-        defaults = OmegaConf.to_container(OmegaConf.create(waiting.pop(0))).get("defaults", [])
-        for group, chosen in _choices(defaults):
+        content = cast(dict[str, Any], OmegaConf.to_container(OmegaConf.create(waiting.pop(0))))
+        for group, chosen in _choices(content.get("defaults", [])):
             folder = config / group
             if group in groups or not folder.is_dir():
                 continue
@@ -91,7 +91,7 @@ def _comments(text: str) -> dict[str, str]:
 
 
 def _keys(config: DictConfig, comments: Mapping[str, str], groups: Collection[str]) -> Iterator[str]:
-    for key, value in OmegaConf.to_container(config, resolve=False).items():
+    for key, value in cast(dict[str, Any], OmegaConf.to_container(config, resolve=False)).items():
         if key in groups and not isinstance(value, Mapping):
             continue  # nothing was chosen there
         if not isinstance(value, Mapping):

@@ -36,7 +36,7 @@ from nfv_torchrl.training.setup import quote, run_folder
 
 MAY_CHANGE = (
     "resume", "run_dir", "device", "logger", "saving", "generations",
-    "collector.total_frames", "parallel",
+    "collector.total_frames", "collector.address", "collector.cpus", "parallel",
 )  # fmt: skip
 """Config keys that a resumed run may set anew."""
 _NOT_PLAIN = r"[^\w./+-]"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.collectors import Collector
 
 from nfv_torchrl.env import NFVEnv
@@ -63,6 +63,11 @@ class WorkerCollector(Collector):
             torch.set_rng_state(self.env.random_numbers)
             self._began = True
         return super().rollout()
+
+    def receive_policy(self, weights: Mapping[str, Tensor]) -> None:
+        """Act by ``weights`` from now on, a ``state_dict`` of the policy on the CPU; how Ray's actors get them."""
+        assert isinstance(self.policy, nn.Module)
+        self.policy.load_state_dict(weights)
 
     def state_dict(self) -> OrderedDict:
         """Environments and random numbers as one tensor of bytes, which any channel carries."""
