@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import os
 import signal
 import subprocess
@@ -33,9 +34,11 @@ def needs(package: str):
     return pytest.mark.skipif(lacks, reason=f"{package} is not installed: pip install -e .[dev]")
 
 
-KINDS = [
+LOCAL = [
     pytest.param(Joblib(jobs=2), id="loky"),
     pytest.param(Joblib(jobs=2, backend="threading"), id="threading"),
+]
+CLUSTERS = [
     pytest.param(Ray(jobs=2), id="ray", marks=needs("ray")),
     pytest.param(Dask(jobs=2), id="dask", marks=needs("distributed")),
 ]
@@ -69,12 +72,23 @@ def expected(tmp_path_factory):
     return failures, results(folder)
 
 
-@pytest.mark.parametrize("workers", KINDS)
+@pytest.mark.parametrize("workers", LOCAL)
 def test_cells_are_the_same_whoever_computes_them(workers, tmp_path, expected):
     failures = compute(cells(), CellStore(tmp_path), workers=workers)
     assert (failures, results(tmp_path)) == expected
     assert "nonsense" in failures[cells()[2].key] and len(expected[1]) == 2
     assert not (tmp_path / ".workers.lock").exists()
+
+
+@pytest.mark.parametrize("workers", CLUSTERS)
+def test_a_cluster_gives_results_and_the_task_s_own_error(workers):
+    with workers:
+        # A function that workers have without the imports of this file, which take seconds in each.
+        outcomes = {outcome.place: outcome for outcome in workers.unordered(math.sqrt, [4, -1, 9])}
+    assert outcomes[0].unwrap() == 2 and outcomes[2].unwrap() == 3
+    with pytest.raises(ValueError) as caught:
+        outcomes[1].unwrap()
+    assert "in attempt" in caught.value.__notes__[0]  # it was raised in another process
 
 
 def inverse(number: float) -> float:
@@ -130,22 +144,18 @@ def test_a_signal_lets_work_end_and_starts_no_more(tmp_path, monkeypatch):
 
 
 ORPHANS = """
-import os, sys, time
-sys.path.insert(0, {tests!r})
-from test_parallel import write_pid
+import os, time
 from nfv_torchrl.parallel import Joblib
+def write_pid(folder):
+    open(folder + "/" + str(os.getpid()) + ".pid", "w").close()
+    time.sleep(60)
 with Joblib(jobs=2) as workers:
     list(workers.map(write_pid, [{folder!r}] * 2))
 """
 
 
-def write_pid(folder: str) -> None:
-    Path(folder, f"{os.getpid()}.pid").touch()
-    time.sleep(60)
-
-
 def test_workers_do_not_outlive_a_killed_parent(tmp_path):
-    script = ORPHANS.format(tests=str(ROOT / "tests"), folder=str(tmp_path))
+    script = ORPHANS.format(folder=str(tmp_path))
     parent = subprocess.Popen([sys.executable, "-c", script])
     _until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
     parent.kill()
@@ -219,13 +229,9 @@ def test_an_evaluation_is_the_same_with_two_workers(tmp_path, capsys):
     assert tables[0] == tables[1] and len(tables[0]) == 5 and tables[0]["bounds"]
 
 
-def kill_myself(_: object) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 def test_a_killed_worker_is_named_with_the_remedy(tmp_path, monkeypatch):
     with Joblib(jobs=2) as workers, pytest.raises(ScenarioError, match=r"killed.*parallel\.jobs"):
-        list(workers.map(kill_myself, [1]))
+        list(workers.map(signal.raise_signal, [signal.SIGKILL]))
     monkeypatch.setattr(computing, "work_chain", _killed_chain)
     wanted = [make_cell("presence", f"cell{number}", {"number": number}) for number in range(4)]
     failures = compute(wanted, CellStore(tmp_path), workers=Joblib(jobs=2))
@@ -234,4 +240,4 @@ def test_a_killed_worker_is_named_with_the_remedy(tmp_path, monkeypatch):
 
 
 def _killed_chain(chain, *, store, leash):
-    kill_myself(None)
+    signal.raise_signal(signal.SIGKILL)
