@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torch.nn import functional
 
 from nfv_torchrl.losses.masked import masked_argmax, masked_expectation, masked_softmax
 from nfv_torchrl.losses.sequences import SequenceLoss, recurrent_policy, sequence_priority
@@ -117,5 +116,5 @@ class RDPG(SequenceLoss):
         """One-hot actions of noisy log-odds, float32 [..., A], with the slope of their softmax."""
         noise = -torch.empty_like(logits).exponential_().log()
         soft = masked_softmax((logits + noise) / self.temperature, mask)
-        hard = functional.one_hot(soft.argmax(-1), soft.shape[-1])
+        hard = torch.zeros_like(soft).scatter_(-1, soft.argmax(-1, keepdim=True), 1.0)
         return hard + soft - soft.detach()

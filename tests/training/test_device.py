@@ -1,0 +1,103 @@
+"""What a learner does on a device of its own, without a GPU: no number of a tensor is asked for in an update.
+
+A GPU is waited for when Python needs such a number (``item``, ``float``, ``if``), and when a tensor goes to
+the CPU.
+"""
+
+from contextlib import contextmanager
+
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from tiny import ROOT
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.losses import q_network
+from nfv_torchrl.networks import Sizes
+from nfv_torchrl.scenario.scenario import paper_scenario
+from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training.learner import NoUpdater, gradient_step, target_updater
+from nfv_torchrl.training.replay import make_buffer, some_rows
+from nfv_torchrl.training.setup import make_loss
+
+FOLDER = ROOT / "recipes/config"
+LOSSES = [("dqn", f"loss={path.stem}") for path in sorted((FOLDER / "loss").glob("[!_]*.yaml"))]
+LOSSES += [("policy_gradient", f"pg_loss={path.stem}") for path in sorted((FOLDER / "pg_loss").glob("[!_]*.yaml"))]
+NETWORK = {name: ["network=gru"] for name in ("loss=rdpg", "loss=recurrent_dqn", "pg_loss=recurrent_ppo")}
+# TorchRL 0.14.1: its ClipPPOLoss asks whether the entropy is finite.
+WAITS = {"pg_loss=ppo": ["item"], "pg_loss=recurrent_ppo": ["item"]}
+NETWORK |= {"loss=iqn": ["network=implicit"]}
+
+
+class Waits(TorchDispatchMode):
+    """Notes the operation by which Python gets a number of a tensor."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen = []
+
+    def __torch_dispatch__(self, operation, types, args=(), kwargs=None):
+        if operation is torch.ops.aten._local_scalar_dense.default:
+            self.seen.append("item")
+        return operation(*args, **(kwargs or {}))
+
+
+@contextmanager
+def waits(monkeypatch):
+    """What a GPU would be waited for in the block."""
+    mode = Waits()
+    with monkeypatch.context() as patched, mode:
+        for name in ("cpu", "numpy", "tolist"):
+            patched.setattr(torch.Tensor, name, _noted(getattr(torch.Tensor, name), name, mode.seen))
+        yield mode.seen
+
+
+def _noted(method, name, seen):
+    def noted(self, *args, **kwargs):
+        seen.append(name)
+        return method(self, *args, **kwargs)
+
+    return noted
+
+
+class Still(torch.optim.SGD):
+    """Without Adam's count of steps, which is on the CPU and asked for there."""
+
+
+@pytest.mark.parametrize(("recipe", "choice"), LOSSES)
+def test_an_update_never_asks_the_device_for_a_number(recipe, choice, monkeypatch):
+    with initialize_config_dir(str(FOLDER), version_base=None):
+        config = compose(recipe, [choice, *NETWORK.get(choice, ["network.hidden=[8]"])])
+    scenario = paper_scenario(horizon=20, substrate={"nodes": 4})
+    sizes = Sizes.of(Simulator(scenario, 1, one_hot=config.one_hot))
+    loss = make_loss(config.loss, instantiate(config.network), sizes)
+    env = NFVEnv(scenario, 1, one_hot=config.one_hot, observations=q_network(loss).observations())
+    batch = some_rows(loss, env, steps=config.collector.steps)
+    updater = target_updater(config.target, loss) if recipe == "dqn" else NoUpdater()
+    optimizer = Still(loss.parameters(), lr=1e-3)
+    with waits(monkeypatch) as seen:
+        gradient_step(loss, optimizer, batch, 10.0)
+        updater.step()
+    assert seen == WAITS.get(choice, [])
+
+
+def test_waiting_is_seen(monkeypatch):
+    with waits(monkeypatch) as seen:
+        one = torch.ones(1)
+        assert float(one) == 1 and one
+        one.cpu()
+        one.tolist()
+    assert seen == ["item", "item", "cpu", "tolist"]
+
+
+@pytest.mark.parametrize(("place", "learner", "pinned"), [("cpu", "cuda", True), ("cpu", "cpu", False)])
+def test_batches_on_their_way_to_a_gpu_are_pinned(place, learner, pinned):
+    parts = {
+        "storage": {"_target_": "torchrl.data.LazyTensorStorage", "device": place},
+        "sampler": {"_target_": "torchrl.data.RandomSampler"},
+        "writer": {"_target_": "torchrl.data.TensorDictRoundRobinWriter"},
+    }
+    buffer = make_buffer(parts, size=4, batch_size=2, device=learner)
+    assert buffer._pin_memory is pinned
