@@ -21,7 +21,7 @@ class ProgressBar(tqdm):
 
     On a terminal it redraws one line. Elsewhere it writes a line every ten seconds. The first comes after ten seconds,
     so that short work leaves none. Evaluations of a training belong into ``pause``: they count neither for the pace
-    nor for the time that the rest takes, but those still to come are added to the time left.
+    nor for the time that the rest takes, but those still to come are added to the time left, as long as the last one.
 
     Args:
         items: what to go through; None: call ``update``.
@@ -58,6 +58,7 @@ class ProgressBar(tqdm):
         self._pauses = pauses
         self._paused = 0.0  # s
         self._paused_times = 0
+        self._last_pause = 0.0  # s; the first may have more to do than all others
         self._first: tuple[float, int] | None = None
         super().__init__(
             items,
@@ -106,7 +107,8 @@ class ProgressBar(tqdm):
         try:
             yield
         finally:
-            self._paused += time.perf_counter() - begun
+            self._last_pause = time.perf_counter() - begun
+            self._paused += self._last_pause
             self._paused_times += 1
 
     def _work_seconds(self) -> float:
@@ -124,8 +126,7 @@ class ProgressBar(tqdm):
         if not self.total or not pace:
             return None
         to_come = max(self._pauses - self._paused_times, 0)
-        pauses = to_come * self._paused / self._paused_times if self._paused_times else 0.0
-        return (self.total - self.n) / pace + pauses
+        return (self.total - self.n) / pace + to_come * self._last_pause
 
     @property
     def format_dict(self) -> dict[str, Any]:

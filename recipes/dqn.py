@@ -116,12 +116,13 @@ def main(cfg: DictConfig) -> None:
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
     evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
-    bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations)
+    bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=1 + evaluations)
     folder.load_random_numbers(state)  # making the parts above drew some
     learning = TensorDict()  # what the last update said
 
     if cfg.eval.interval and not progress.iteration:
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)  # untrained
+        with bar.pause():
+            evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)  # untrained
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:
             explore.eps.fill_(epsilon(progress.frames))

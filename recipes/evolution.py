@@ -71,7 +71,7 @@ def main(cfg: DictConfig) -> None:
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, FITNESS, EVOLVED)
     evaluations = cfg.generations // cfg.eval.interval if cfg.eval.interval else 0
-    bar = ProgressBar(total=cfg.generations, initial=strategy.generation, unit="generation", pauses=evaluations)
+    bar = ProgressBar(total=cfg.generations, initial=strategy.generation, unit="generation", pauses=1 + evaluations)
 
     def evaluate() -> None:
         """The centre of the search on held-out horizons; keep it if it is the fittest so far."""
@@ -90,7 +90,8 @@ def main(cfg: DictConfig) -> None:
     with arena.workers, StopRequest() as stop:
         known = arena.baselines(held_out) if cfg.eval.interval else []
         if cfg.eval.interval and not strategy.generation:
-            evaluate()  # where the search begins
+            with bar.pause():
+                evaluate()  # where the search begins
         while strategy.generation < cfg.generations and not stop.asked:
             started = time.perf_counter()
             horizons = tasks.draw(cfg.seed, strategy.generation, cfg.generation.tasks)

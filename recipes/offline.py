@@ -136,11 +136,12 @@ def main(cfg: DictConfig) -> None:
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
     evaluations = cfg.learner.updates // cfg.eval.interval if cfg.eval.interval else 0
-    bar = ProgressBar(total=cfg.learner.updates, initial=progress.updates, unit="update", pauses=evaluations)
+    bar = ProgressBar(total=cfg.learner.updates, initial=progress.updates, unit="update", pauses=1 + evaluations)
     folder.load_random_numbers(state)  # making the parts above drew some
 
     if cfg.eval.interval and not progress.updates:
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)  # untrained
+        with bar.pause():
+            evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)  # untrained
     with StopRequest() as stop:
         while progress.updates < cfg.learner.updates and not stop.asked:
             started = time.perf_counter()

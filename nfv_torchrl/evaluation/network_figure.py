@@ -76,14 +76,14 @@ def draw_utilisation(record: RunRecord, name: str | None = None) -> Figure:
     """
     drawing = draw_network(record.scenario.substrate, *mean_use(record), "mean used share")
     title = f"{name or record.method} on {record.scenario.name}, workload {record.workload_seed}"
-    drawing.axes.set_title(title, fontsize=12)
+    drawing.axes.set_title(title, fontsize=14)
     return drawing.figure
 
 
 def draw_network(substrate: Substrate, node_use: np.ndarray, link_use: np.ndarray, label: str) -> Drawing:
     """Nodes sized by VM capacity and coloured by ``node_use`` [N], links coloured by ``link_use`` [L], both 0 to 1."""
     figure = Figure(figsize=(5.4, 4.4))
-    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.07, top=0.93)  # a layout engine takes longer
+    figure.subplots_adjust(left=0.02, right=0.98, bottom=0.08, top=0.92)  # a layout engine takes longer
     axes = figure.add_subplot()
     graph, place = substrate.to_networkx(), layout(substrate)
     capacity = substrate.vm_capacity.sum(axis=1)
@@ -99,12 +99,12 @@ def draw_network(substrate: Substrate, node_use: np.ndarray, link_use: np.ndarra
         linewidths=0.8,
     )  # fmt: skip
     if substrate.num_nodes <= 50:
-        for text in nx.draw_networkx_labels(graph, place, ax=axes, font_size=12 if small else 8).values():
+        for text in nx.draw_networkx_labels(graph, place, ax=axes, font_size=14 if small else 8).values():
             text.set_path_effects(outline())
     bar = figure.colorbar(ScalarMappable(scale, colours), ax=axes, pad=0.02)
-    bar.set_label(label, fontsize=12)
-    bar.ax.tick_params(labelsize=11)
-    axes.set_xlabel("circles: nodes, sized by the capacity of their VMs; lines: links", fontsize=10)
+    bar.set_label(label, fontsize=14)
+    bar.ax.tick_params(labelsize=13)
+    axes.set_xlabel("circles: nodes, sized by VM capacity; lines: links", fontsize=12.5)
     axes.tick_params(bottom=False, left=False, labelbottom=False, labelleft=False)
     for side in axes.spines.values():
         side.set_visible(False)

@@ -66,10 +66,10 @@ class Walk:
         return sum(a != b for a, b in zip(self.nodes, self.nodes[1:], strict=False))
 
     def sentence(self) -> str:
-        """What came of it, in a line."""
+        """What came of it, in two short lines."""
         if self.reason is not None:
-            return f"rejected: {self.reason.replace('_', ' ')}"
-        return f"{self.cost:.0f} $, {self.hops} links, {self.delay_ms:.0f} ms"
+            return f"rejected:\n{self.reason.replace('_', ' ')}"
+        return f"{self.cost:.0f} $\n{self.hops} links, {self.delay_ms:.0f} ms"
 
 
 def walk_of(record: RunRecord, request: int) -> Walk:
@@ -114,11 +114,11 @@ def draw_walks(scenario: Scenario, title: str, walks: Mapping[str, Walk]) -> Fig
         title: which request.
         walks: by name of the method.
     """
-    figure = Figure(figsize=(2.3 * len(walks), 2.9))
-    figure.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.70, wspace=0.02)  # a layout engine takes longer
+    figure = Figure(figsize=(1.75 * len(walks), 3.0))
+    figure.subplots_adjust(left=0.01, right=0.99, bottom=0.0, top=0.65, wspace=0.02)  # a layout engine takes longer
     for axes, (name, walk) in zip(np.ravel(figure.subplots(1, len(walks))), walks.items(), strict=True):
         _draw(axes, scenario, walk)
-        axes.set_title(f"{name}\n{walk.sentence()}", fontsize=9.5)
+        axes.set_title(f"{name}: {walk.sentence()}", fontsize=9.5)
     figure.suptitle(title, fontsize=9.5, y=0.985)
     return figure
 
@@ -139,7 +139,7 @@ def _draw(axes: Axes, scenario: Scenario, walk: Walk) -> None:
         for label in nx.draw_networkx_labels(graph, place, ax=axes, font_size=9).values():
             label.set_path_effects(outline())
     _placements(axes, place, walk)
-    axes.margins(0.16)
+    axes.margins(0.2, 0.12)  # room for the functions, on the left and right, too
     axes.set_axis_off()
 
 
@@ -152,20 +152,24 @@ def _arrows(axes: Axes, place: Mapping[int, tuple[float, float]], walk: Walk) ->
         times = used[a, b] = used.get((a, b), 0) + 1
         bend = CURVE * min(times, MOST_BENDS) if times > 1 or (b, a) in used else 0.0
         axes.annotate("", place[b], place[a], zorder=3, arrowprops={
-            "arrowstyle": "-|>", "color": colour, "linewidth": 2.0, "shrinkA": 8, "shrinkB": 8,
+            "arrowstyle": "-|>", "color": colour, "linewidth": 1.7, "shrinkA": 8, "shrinkB": 8,
             "connectionstyle": f"arc3,rad={bend}"})  # fmt: skip
 
 
 def _placements(axes: Axes, place: Mapping[int, tuple[float, float]], walk: Walk) -> None:
-    """The functions at the nodes where they are, by their place in the chain, from 1."""
+    """The functions above or below the nodes where they are, by their place in the chain, from 1."""
     at: dict[int, list[int]] = {}
     for node, function in zip(walk.nodes[1:], walk.functions, strict=True):
         if function != FORWARD:
             at.setdefault(node, []).append(function + 1)
+    steps = [(a, b) for a, b in zip(walk.nodes, walk.nodes[1:], strict=False) if a != b]
     for node, functions in at.items():
+        beside = [place[b if a == node else a][1] for a, b in steps if node in (a, b)]
+        below = bool(beside) and float(np.mean(beside)) > place[node][1]  # where fewer arrows are
         text = axes.annotate(
-            "f" + ",".join(map(str, functions)), place[node], xytext=(9, 9), textcoords="offset points", fontsize=9.5,
-            fontweight="bold", color=PLACED, zorder=5,
+            "f" + ",".join(map(str, functions)), place[node], xytext=(0, -9 if below else 9), fontsize=9.5,
+            textcoords="offset points", ha="center", va="top" if below else "bottom", fontweight="bold", color=PLACED,
+            zorder=5,
         )  # fmt: skip
         text.set_path_effects(outline())
 
@@ -177,4 +181,4 @@ def title_of(record: RunRecord, request: int) -> str:
     chain = ", ".join(f"f{k + 1} {name}" for k, name in enumerate(service.chain))
     ingress, egress = ("any" if end[request] < 0 else int(end[request]) for end in (work.ingress, work.egress))
     limit = "any delay" if service.tolerable_delay is None else f"at most {service.tolerable_delay:g} ms"
-    return f"{service.name}, request {request}, from node {ingress} to {egress}, {limit}\n{chain}"
+    return f"{service.name}, request {request}, {limit}\nfrom node {ingress} to {egress}\n{chain}"

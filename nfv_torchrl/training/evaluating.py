@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import nn
-from tqdm import tqdm
 
 from nfv_torchrl.evaluation.network_figure import draw_utilisation
 from nfv_torchrl.evaluation.records import FORWARD, REJECT, RunRecord
@@ -19,6 +18,7 @@ from nfv_torchrl.evaluation.walk_figure import draw_walks, title_of, walk_of
 from nfv_torchrl.losses import q_network
 from nfv_torchrl.methods import Method, fastest_method, policy_content
 from nfv_torchrl.networks import Sizes
+from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.values import list_of_seeds
 from nfv_torchrl.simulator.reasons import REASON_NAMES
@@ -83,7 +83,7 @@ def _references(logger: RunLogger, folder: RunFolder, scenario: Scenario, seeds:
     """Those of the run, computed once; a line shows how far that is."""
     if logger.references is None:
         expected = sum(len(scenario.workload(seed)) for seed in seeds) * len(reference_methods())
-        with tqdm(total=expected, desc="references", unit="request", unit_scale=True, leave=False) as bar:
+        with ProgressBar(total=expected, desc="references", unit="request") as bar:
             logger.references = References.of(folder.path, scenario, seeds, bar.update)
     return logger.references
 

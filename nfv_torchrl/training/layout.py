@@ -1,7 +1,8 @@
 """The first screen of TensorBoard's tab "Custom Scalars": which series stand in one chart, the most telling first.
 
 Series are named by regular expressions, so that the layout is the same for all services, reasons and losses:
-TensorBoard puts the layouts of several runs together chart by chart.
+TensorBoard puts the layouts of several runs together chart by chart. A title has to fit in one line above its chart,
+which are about 40 letters: a second line would lie on the chart.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ import re
 Charts = dict[str, dict[str, list[str]]]
 """By category and title of the chart: expressions of the tags that are its lines."""
 
-PAIRED = "paired cost: the agent's over that of a rule, same requests"
+PAIRED = "paired cost: agent / rule, same requests"
 EVALUATED: Charts = {
     "1 Does it learn, and is it better than the rules?": {
-        "AAR: agent, greedy, myopic_optimal, random_feasible, bound": [
+        "AAR: the agent, three rules, the bound": [
             r"eval/aar$", r"eval/aar_of/",
         ],
         "cost of an accepted request, $": [r"eval/cost_per_accepted$", r"eval/cost_per_accepted_of/"],
@@ -22,26 +23,26 @@ EVALUATED: Charts = {
     },
     "2 What does it still reject?": {
         "AAR by service": [r"eval/aar/"],
-        "rejected by reason, stacked: the highest line is all that is rejected": [r"eval/rejected_stacked/"],
+        "rejected by reason, stacked: top is all": [r"eval/rejected_stacked/"],
         "what its steps do, shares": [r"eval/steps/"],
     },
 }  # fmt: skip
 """Charts of evaluations, by category."""
 LEARNER: dict[str, list[str]] = {
     "loss": [r"train/loss$"],
-    "value of the actions taken (Q), or entropy of the policy": [
+    "Q of actions taken, or policy's entropy": [
         r"train/chosen_q$", r"train/entropy$", r"eval/chosen_value$",
     ],
     "gradient norm": [r"train/gradient_norm$"],
 }  # fmt: skip
 CURVES = [r"(train|eval)/(aar|anuc|cost_per_accepted|mean_hops)$"]
 """Of every run, so that learning curves can be drawn of any."""
-SPEED: dict[str, list[str]] = {"frames, updates and requests per second": [r"speed/.*_per_second$"]}
+SPEED: dict[str, list[str]] = {"frames, updates, requests per second": [r"speed/.*_per_second$"]}
 EVOLVED: Charts = {
     "1 Does it learn, and is it better than the rules?": {
         "AAR: agent, myopic_optimal": [r"eval/aar$", r"eval/aar_of/"],
         "AAR above that of myopic_optimal": [r"eval/aar_gain$"],
-        "paired cost: the agent's over that of myopic_optimal, same requests": [r"eval/paired_cost$"],
+        "paired cost: agent / myopic_optimal": [r"eval/paired_cost$"],
     },
     "2 How is the search?": {
         "fitness": [r"eval/fitness$", r"train/fitness$", r"train/fitness_best$"],

@@ -65,7 +65,8 @@ def layout_of(events: EventAccumulator) -> layout_pb2.Layout:
 def test_every_line_of_the_layout_is_there(run, events):
     tags = {*events.Tags()["scalars"]} | {tag for name in APART for tag in events_of(run / name).Tags()["scalars"]}
     charts = [chart for category in layout_of(events).category for chart in category.chart]
-    assert charts[0].title.startswith("AAR: agent, greedy")
+    assert charts[0].title.startswith("AAR: the agent")
+    assert all(len(chart.title) <= 42 for chart in charts)  # one line above the chart
     for chart in charts:
         for pattern in chart.multiline.tag:
             if "entropy" not in pattern:  # of policies that have one
