@@ -220,7 +220,7 @@ def _vm_use(record: RunRecord) -> np.ndarray:
     load = to_ledger(record.scenario.profiles.amount).sum(axis=1)[record.workload.profile]
     capacity = record.scenario.substrate.capacity_by_kind
     kinds = range(load.shape[1])
-    return sum(_used(record, load[:, kind], capacity[:, :, kind]) for kind in kinds) / len(kinds)
+    return np.mean([_used(record, load[:, kind], capacity[:, :, kind]) for kind in kinds], axis=0)
 
 
 def _link_use(record: RunRecord) -> np.ndarray:

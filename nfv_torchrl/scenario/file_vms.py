@@ -33,7 +33,8 @@ def file_vms(numbers: FileNumbers, kept: list[int], ranges: ResourceRanges, seed
     )
     slots = _slots(file.attributes.get("max_vms"), count, ranges, file.source)
     drawn = draw_vms(len(kept), seed, ranges, count)
-    vms = VmDraw(drawn.vm_count, *(_resized(table, slots) for table in (drawn.vm_capacity, drawn.vm_unit_cost)))
+    capacity, unit_cost = (_resized(table, slots) for table in (drawn.vm_capacity, drawn.vm_unit_cost))
+    vms = VmDraw(drawn.vm_count, capacity, unit_cost)
     for node, place in enumerate(kept):
         held = slice(0, int(vms.vm_count[node]))
         for key, table in (("vm_capacity", vms.vm_capacity), ("vm_unit_cost", vms.vm_unit_cost)):

@@ -95,8 +95,8 @@ def _add_steps(world, b, count):
     tables, rules, e = world.tables, world.rules, world.env[b]
     unplaced = e.function < tables.chain_length[e.profile]
     if e.node < 0:  # off the network: the first function stands anywhere
-        for node in range(tables.num_nodes[e.net]):
-            count = _add_moves(world, b, count, (STAY, node), False, True)
+        for start in range(tables.num_nodes[e.net]):
+            count = _add_moves(world, b, count, (STAY, start), False, True)
         return count
     if e.node == e.egress and not rules.distinct:
         return _add_moves(world, b, count, (STAY, e.node), False, True)

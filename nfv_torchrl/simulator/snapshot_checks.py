@@ -222,9 +222,9 @@ def _check_walks(world: World) -> np.ndarray:
         for k, (resource, part) in enumerate(entries):
             if walk.resource[b, k] != resource or walk.use[b, k] != use_of(profile, part, tables.load.shape[1]):
                 refuse(f"walk.resource of environment {b}", "and walk.use are not what its walk reserves")
-        resource, part = np.array(entries, np.int64).reshape(-1, 2).T
+        resources, parts = np.array(entries, np.int64).reshape(-1, 2).T
         rows = np.full(len(entries), b)
-        _add_uses(tables, taken, rows, resource, np.full(len(entries), profile), part)
+        _add_uses(tables, taken, rows, resources, np.full(len(entries), profile), parts)
     return taken
 
 

@@ -147,7 +147,7 @@ def read_run(folder: Path) -> RunFiles:
         raise UnreadableRun("scenario.json: horizon, warmup or max_steps is out of range")
     try:
         services = _services(scenario)
-        kinds = scenario.get("resources") or PAPER_KINDS
+        kinds: list[dict[str, Any]] = scenario.get("resources") or PAPER_KINDS
         vms, links = _substrate(read_json(folder / "substrate.json"), [kind["name"] for kind in kinds], problems)
         workload = _workload(folder / "workload.csv", len(vms), services, scenario["horizon"])
         demands = {
@@ -249,7 +249,7 @@ def _substrate(
             links[direction] = Link(round(capacity * UNITS), capacity, link["delay"], link["unit_cost"])
             if links[direction].units <= 0:
                 problems.add(f"substrate.json: link {ends} has no capacity")
-    if len({"back_capacity" in link for link in document.get("links", document.get("edges"))}) > 1:
+    if len({"back_capacity" in link for link in document.get("links", document.get("edges", []))}) > 1:
         problems.add("substrate.json: some links have a back_capacity, others not")
     return vms, links
 
@@ -283,8 +283,8 @@ def _workload(path: Path, nodes: int, services: dict[str, Service], horizon: int
         where = f"workload.csv line {line}"
         try:
             slot, service, ingress, egress, lifetime, *demand = row
-            ends = (FREE if end == ANY else int(end) for end in (ingress, egress))
-            request = Request(int(slot), service, *ends, float(lifetime), *demand)
+            first, last = (FREE if end == ANY else int(end) for end in (ingress, egress))
+            request = Request(int(slot), service, first, last, float(lifetime), *demand)
         except (ValueError, TypeError) as error:
             raise UnreadableRun(f"{where}: {error}") from error
         earliest = requests[-1].slot if requests else 0
