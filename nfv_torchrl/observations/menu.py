@@ -237,11 +237,11 @@ def _measure_requests(world, b, own, state):
     arrivals, e = world.arrivals, world.env[b]
     nodes = world.tables.num_nodes[e.net]
     first = len(STATE)
-    for service in range(own.seen.size):
-        own.seen[service] = 0
-        state[first + service * len(SERVICE) + SERVICE.vm_room] = 1.0
-        state[first + service * len(SERVICE) + SERVICE.vm_room_mean] = 0.0
-        state[first + service * len(SERVICE) + SERVICE.link_room] = 1.0
+    for known in range(own.seen.size):
+        own.seen[known] = 0
+        state[first + known * len(SERVICE) + SERVICE.vm_room] = 1.0
+        state[first + known * len(SERVICE) + SERVICE.vm_room_mean] = 0.0
+        state[first + known * len(SERVICE) + SERVICE.link_room] = 1.0
     for r in range(max(0, e.cursor + 1 - PROBES), e.cursor + 1):
         q = np.int64(arrivals.profile[b, r])
         ingress, egress = np.int64(arrivals.ingress[b, r]), np.int64(arrivals.egress[b, r])

@@ -139,7 +139,7 @@ def draw_further_kinds(substrate: Substrate, kinds: Sequence[Resource], seed: in
         rng = generator(seed, Stream.RESOURCES, place)
         ranges = kind.vm_capacity, kind.vm_unit_cost
         tables.append([np.where(exists, rng.uniform(*interval, size=exists.shape), 0.0) for interval in ranges])
-    further = np.array(tables).reshape(len(tables), 2, *exists.shape).transpose(1, 2, 3, 0)
+    further: np.ndarray = np.array(tables).reshape(len(tables), 2, *exists.shape).transpose(1, 2, 3, 0)
     return dataclasses.replace(
         substrate,
         resources=names,

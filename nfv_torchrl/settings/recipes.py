@@ -73,6 +73,15 @@ Colocations = Annotated[tuple[bool, ...], Some]
 
 
 @dataclass(frozen=True)
+class Batches:
+    """Environments that act at the same time, and for how long."""
+
+    num_envs: Count
+    steps: Count
+    total_frames: Count
+
+
+@dataclass(frozen=True)
 class Logger:
     """``interval``: iterations or updates from one log line to the next; ``references``: compare with rules."""
 
@@ -206,7 +215,7 @@ class PolicyGradientSettings(Run):
     one_hot: bool
     stagger: bool
     segment: Count | None
-    collector: Collector
+    collector: Batches
     learner: BatchLearner
     logger: Logger
     eval: HeldOut

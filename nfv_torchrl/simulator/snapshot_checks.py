@@ -403,8 +403,8 @@ def _check_flat(world: World) -> None:
         hot, at = e[f"hot_{name}"], e[name]
         if world.seen.one_hot:
             inside = (hot >= first) & (hot < first + size)
-            place = np.where(at < 0, -1, first + at)  # what is free, or off the network, is nowhere
-            require(np.where(live, hot == place, inside | (hot == -1)), f"env.hot_{name}", "is not its place")
+            expected = np.where(at < 0, -1, first + at)  # what is free, or off the network, is nowhere
+            require(np.where(live, hot == expected, inside | (hot == -1)), f"env.hot_{name}", "is not its place")
             rows = np.flatnonzero(inside)
             ones[rows, hot[rows] - base - 5] = 1.0
             first += size

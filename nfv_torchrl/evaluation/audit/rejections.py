@@ -190,7 +190,7 @@ class Rejections:
         while waiting:
             so_far, node = heapq.heappop(waiting)
             for there in self.neighbours[node] if so_far <= best[node] else ():
-                _, link = self.files.link_between(there, node)
+                _, link = self.files.link_between(there, node)  # type: ignore[misc]  # neighbours have one
                 delay = so_far + link.delay + 1000 * rate / link.capacity
                 if delay < best[there]:
                     best[there] = delay
