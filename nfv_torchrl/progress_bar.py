@@ -73,6 +73,7 @@ class ProgressBar(tqdm):
             delay=0 if terminal else SECONDS_BETWEEN_LINES,
             miniters=1,
             dynamic_ncols=terminal,
+            position=None if terminal else 0,  # a bar within another would move up and down between lines
         )
 
     def __iter__(self) -> Iterator[Any]:

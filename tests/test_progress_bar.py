@@ -98,6 +98,18 @@ def test_items_are_counted_and_a_broken_loop_closes_the_bar(clock):
     assert log.getvalue().splitlines()[-1] == "100%, 4 of 4 cells, 01:20 gone, nothing left, 20.0 s/cell"
 
 
+def test_a_bar_within_another_leaves_plain_lines_too(clock):
+    log = io.StringIO()
+    outer = bar_with(clock, total=2, unit="frame", desc="dqn", file=log)
+    inner = bar_with(clock, total=2, unit="request", desc="references", file=log)
+    clock.now += 20
+    inner.update(2)
+    inner.close()
+    outer.update(2)
+    assert [line.split(":")[0] for line in log.getvalue().splitlines()] == ["references", "references", "dqn"]
+    assert "\x1b" not in log.getvalue()
+
+
 def test_without_a_number_of_items_there_is_no_percentage(clock):
     log = io.StringIO()
     bar = bar_with(clock, unit="request", desc="greedy", file=log)
