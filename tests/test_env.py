@@ -169,7 +169,7 @@ def test_requests_do_not_depend_on_the_batch_size():
             for of, count in (("", "num_requests"), ("event_", "num_events")):
                 here = [env.simulator.world.env[count][b] for env in (wide, narrow)]
                 assert here[0] == here[1]
-                names = ("slot", "service", "ingress", "egress", "lifetime") if not of else ("slot", "resource", "up")
+                names = ("slot", "profile", "ingress", "egress", "lifetime") if not of else ("slot", "resource", "up")
                 for name in names:
                     values = [getattr(env.simulator.world.arrivals, of + name)[b, : here[0]] for env in (wide, narrow)]
                     np.testing.assert_array_equal(*values)

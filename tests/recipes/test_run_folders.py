@@ -34,7 +34,7 @@ EVOLUTION = [
     "strategy.population=4",
     "eval.interval=0",
     "eval.tasks=1",
-    "threads=1",
+    "parallel.jobs=1",
 ]
 OFFLINE = [
     *TINY_SCENARIO,
