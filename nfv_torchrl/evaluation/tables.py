@@ -57,8 +57,13 @@ def render(comparison: Comparison, reference: str | None = None, markdown: bool 
         tables.append(paired_table(comparison, reference))
     if reference is not None and len(comparison.methods) > 2:
         tables.append(cost_matrix(comparison))
-    said = headline(comparison) if markdown else textwrap.fill(headline(comparison), WIDTH)
+    said = headline(comparison) if markdown else _filled(headline(comparison))
     return "\n\n".join([said, *(table.markdown() if markdown else table.text() for table in tables)])
+
+
+def _filled(line: str) -> str:
+    """Lines of at most ``WIDTH``, broken after commas only, so that ``N = 10`` stays together."""
+    return textwrap.fill(line.replace(" ", "\0").replace(",\0", ", "), WIDTH).replace("\0", " ")
 
 
 def headline(comparison: Comparison) -> str:
