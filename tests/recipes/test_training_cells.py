@@ -44,7 +44,7 @@ def test_under_a_path_with_anything_in_it(tmp_path, monkeypatch):
     work.work(cell, store)
     log = run_folder(cell, store).with_suffix(".log").read_text()
     assert log.count("Resumed from") == 1 and "older run" not in log
-    assert [point["frames"] for point in store.read(cell)["eval"]] == [32]
+    assert [point["frames"] for point in store.read(cell)["eval"]] == [0, 32]
     assert compute([cell], store, workers=Joblib(jobs=1)) == {} and not checkpoints.files()
 
 
