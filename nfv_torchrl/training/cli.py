@@ -85,6 +85,8 @@ def recipe(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[..., 
 
         @functools.wraps(main)
         def run(cfg: DictConfig | None = None) -> None:
+            nonlocal entered
+            entered = False  # by an earlier call in this process, it says nothing of this one
             if cfg is not None:
                 entering(cfg)
                 return

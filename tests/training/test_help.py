@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nfv_torchrl.cli import recipe_names, recipes_folder
-from nfv_torchrl.training.cli import recipe_configs
+from nfv_torchrl.training.cli import recipe, recipe_configs
 from nfv_torchrl.training.help import WIDTH, help_text
 
 CONFIG = recipes_folder() / "config"
@@ -53,3 +53,16 @@ def test_a_recipe_prints_it(monkeypatch, capsys):
         sys.path.remove(str(recipes_folder()))
     tune_priced.main()
     assert capsys.readouterr().out.splitlines()[0] == Path(CONFIG / "tune_priced.yaml").read_text().splitlines()[0][2:]
+
+
+def test_a_bad_command_line_gets_its_line_after_a_good_one_in_the_same_process(monkeypatch, capsys):
+    calls = []
+    main = recipe("tune_priced")(lambda cfg: calls.append(cfg))
+    monkeypatch.setattr(sys, "argv", ["tune_priced.py"])
+    main()
+    assert len(calls) == 1
+    monkeypatch.setattr(sys, "argv", ["tune_priced.py", "nonsense=1"])
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    assert leaving.value.code == 2 and len(calls) == 1
+    assert capsys.readouterr().err.startswith("error: nonsense: unknown key")
