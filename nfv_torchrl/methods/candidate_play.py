@@ -16,6 +16,18 @@ from nfv_torchrl.simulator.state import OUTCOME, World
 
 
 @part
+def is_highest(score, values):
+    """Whether ``score`` is above all before it; ``values`` float32 [2] keeps the two highest."""
+    if score > values[0]:
+        values[1] = values[0]
+        values[0] = score
+        return True
+    if score > values[1]:
+        values[1] = score
+    return False
+
+
+@part
 def _choose(world, b, to_go, weights, sizes, activation, row, now, after, values):
     """The valid action of the highest score.
 
@@ -28,12 +40,8 @@ def _choose(world, b, to_go, weights, sizes, activation, row, now, after, values
         row[:] = 0.0
         write_row(world, b, to_go, action, row)
         score = score_row(weights, sizes, activation, row, now, after)
-        if score > values[0]:
-            values[1] = values[0]
-            values[0] = score
+        if is_highest(score, values):
             best = action
-        elif score > values[1]:
-            values[1] = score
     if world.env[b].mask_count < 2:
         values[1] = np.float32(np.nan)
     return best

@@ -13,7 +13,7 @@ from torchrl.modules import QValueActor
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.actors import scorer
 from nfv_torchrl.methods.base import Method
-from nfv_torchrl.methods.candidate_play import CandidatePlay
+from nfv_torchrl.methods.candidate_play import CandidatePlay, is_highest
 from nfv_torchrl.methods.policy import PolicyMethod
 from nfv_torchrl.methods.watching import EVERY, MOST, Watch
 from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, QNetwork
@@ -87,12 +87,8 @@ def _highest(world, b, network, values):
     for k in range(world.env[b].mask_count):
         action = np.int64(world.seen.valid[b, k])
         score = now[action]
-        if score > values[0]:
-            values[1] = values[0]
-            values[0] = score
+        if is_highest(score, values):
             best = action
-        elif score > values[1]:
-            values[1] = score
     if world.env[b].mask_count < 2:
         values[1] = np.float32(np.nan)
     return best
