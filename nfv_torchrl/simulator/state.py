@@ -14,6 +14,7 @@ import numpy as np
 from nfv_torchrl.codec import count_actions, count_vms
 from nfv_torchrl.columns import columns
 from nfv_torchrl.simulator.compiled import records
+from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.tables import Rules, Tables
 from nfv_torchrl.simulator.view import AT, demand_size
 
@@ -60,6 +61,7 @@ ENV_DTYPE = np.dtype(
 )
 
 
+@by_reference
 class Ledger(NamedTuple):
     """Books of every resource in ledger units; reserved + offered = capacity unless the resource has failed."""
 
@@ -72,6 +74,7 @@ class Ledger(NamedTuple):
     link_failed: np.ndarray  # bool [B, L]
 
 
+@by_reference
 class Arrivals(NamedTuple):
     """Requests in arrival order and failure events in the order applied; rows beyond an env's own count are unused."""
 
@@ -91,6 +94,7 @@ REQUEST = tuple(name for name in Arrivals._fields if name != "slot" and name in 
 """What an environment copies of the request in hand; its ``slot`` is the current one."""
 
 
+@by_reference
 class Running(NamedTuple):
     """Accepted requests that still run: one record each, chained per departure slot, with a chain of reservations."""
 
@@ -104,6 +108,7 @@ class Running(NamedTuple):
     entry_use: np.ndarray  # int32 [B, entries], function on a VM or segment on a link, see ``use_of``
 
 
+@by_reference
 class Walk(NamedTuple):
     """Steps and reservations of the walk in progress."""
 
@@ -112,6 +117,7 @@ class Walk(NamedTuple):
     use: np.ndarray  # int32 [B, 2 J], function on a VM or segment on a link, see ``use_of``
 
 
+@by_reference
 class View(NamedTuple):
     """What a controller sees, kept up to date step by step."""
 
@@ -122,6 +128,7 @@ class View(NamedTuple):
     demand: bool  # whether ``flat`` ends with what the request asks for: where requests bring profiles of their own
 
 
+@by_reference
 class Log(NamedTuple):
     """Answer to every request, kept only when decisions are recorded (else the arrays have one column)."""
 
@@ -135,6 +142,7 @@ class Log(NamedTuple):
     action: np.ndarray  # int32 [B, log], of a rejected request with the one that ended it (-1: no action at all)
 
 
+@by_reference
 class World(NamedTuple):
     """Everything a kernel may touch."""
 

@@ -14,12 +14,14 @@ from nfv_torchrl.scenario.profiles import Profiles
 from nfv_torchrl.scenario.services import ServiceCatalogue
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.units import LEDGER_UNITS, to_ledger
+from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.steps import link_delay
 
 DELAY_TOLERANCE = 1e-9
 """ms by which a sum of delays may exceed the budget: the order of adding changes less, a real delay more."""
 
 
+@by_reference
 class Rules(NamedTuple):
     """The rules of one step that a scenario may choose (section "Action Space" and Algorithm 3 of the paper).
 
@@ -37,6 +39,7 @@ class Rules(NamedTuple):
     free_ends: bool = False
 
 
+@by_reference
 class Tables(NamedTuple):
     """Read-only arrays of S substrates padded to N nodes, V VMs a node, L links, D neighbours, and of P profiles.
 
