@@ -105,14 +105,23 @@ def read_json(path: str | os.PathLike[str], limit: int = MAX_FILE_BYTES) -> dict
     Raises:
         ScenarioError: the file cannot be read, is not JSON, or holds something other than an object.
     """
-    text = read_text(path, limit)
-    try:
-        data = json.loads(text, object_pairs_hook=unique_keys)
-    except (ValueError, RecursionError) as error:  # ValueError: also integers of more than 4300 digits
-        raise ScenarioError(f"{path}: is not valid JSON ({error}); write it again or fix that place") from error
+    data = load_json(path, limit)
     if not isinstance(data, dict):
         raise ScenarioError(f"{path}: holds a {type(data).__name__}, not a JSON object {{...}}")
     return data
+
+
+def load_json(path: str | os.PathLike[str], limit: int = MAX_FILE_BYTES) -> Any:
+    """What JSON is in ``path``.
+
+    Raises:
+        ScenarioError: the file cannot be read, or is not JSON.
+    """
+    text = read_text(path, limit)
+    try:
+        return json.loads(text, object_pairs_hook=unique_keys)
+    except (ValueError, RecursionError) as error:  # ValueError: also integers of more than 4300 digits
+        raise ScenarioError(f"{path}: is not valid JSON ({error}); write it again or fix that place") from error
 
 
 def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -54,6 +54,8 @@ def world_digests(scenarios: Iterable[Scenario]) -> dict[str, str]:
             if scenario.file_workload.own is not None:
                 for part in (scenario.file_workload.profile, *vars(scenario.file_workload.own).values()):
                     _add(parts["workload"], part)
+            if scenario.file_workload.time is not None:
+                _add(parts["workload"], scenario.file_workload.time)
     return {name: digest.hexdigest() for name, digest in parts.items()}
 
 

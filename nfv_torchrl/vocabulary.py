@@ -119,6 +119,12 @@ for _row in (
              details=True, train=("interrupted", "accepted")),
     Quantity("lost_service_time", SECONDS, "slots that the interrupted requests still had to run, in all",
              head="lost s", details=True),
+    Quantity("rac", SHARE, "acceptance as Virne defines it, which is `aar`; this and the two below where requests "
+             "bring demands of their own", ("eval", "files"), "RAC", "share"),
+    Quantity("lrc", "ratio", "revenue / cost of the accepted requests, each times its lifetime: amounts asked for, "
+             "mean over kinds, plus rates of segments, over the same with each rate times its hops", ("eval", "files"),
+             "LRC", "share"),
+    Quantity("lar", "1/s", "their revenue times lifetime, in all / time of the last arrival", ("eval", "files"), "LAR"),
     Quantity("decision_seconds", SECONDS, "wall time of the decisions of the whole run", ("files",), measured=True),
     Quantity("decisions_per_second", "1/s", "requests answered per second of it", ("files",), "decisions/s",
              measured=True),

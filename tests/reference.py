@@ -59,6 +59,8 @@ class Request:
     ingress: int | None  # None: free
     egress: int | None
     departure: int
+    time: float  # s, when it arrives
+    leaves: float  # s, before all that arrive then or later
     vm_use: dict = field(default_factory=dict)  # (node, vm, kind) -> whole units
     link_use: dict = field(default_factory=dict)  # (tail, head), of a shared link tail < head -> bit/s
     cost: float = 0.0
@@ -168,13 +170,21 @@ class ReferenceSimulator:
     def _read_request(self, workload, index: int) -> Request:
         slot = int(workload.slot[index])
         ingress, egress = int(workload.ingress[index]), int(workload.egress[index])
+        departure = slot + max(1, math.ceil(workload.lifetime[index]))
+        time, leaves = float(slot), float(departure)
+        if workload.time is not None:
+            time = float(workload.time[index])
+            leaves = max(time + float(workload.lifetime[index]), math.nextafter(time, math.inf))
+            departure = max(slot + 1, math.ceil(leaves))
         return Request(
             index=index,
             slot=slot,
             service=int(workload.profile[index]),
             ingress=None if ingress == -1 else ingress,
             egress=None if egress == -1 else egress,
-            departure=slot + max(1, math.ceil(workload.lifetime[index])),
+            departure=departure,
+            time=time,
+            leaves=leaves,
         )
 
     def hop_delay(self, rate: float, link) -> float:
@@ -260,6 +270,10 @@ class ReferenceSimulator:
             self.done = self.slot == self.scenario.horizon
             if not self.done:
                 self._open_slot()
+        if self.request is not None:
+            for request in list(self.running):
+                if request.leaves <= self.request.time:
+                    self._release(request)
         self._begin_walk()
         return closed
 

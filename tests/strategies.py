@@ -171,7 +171,12 @@ def workloads(
         )
     )
     slot, service, ingress, egress = np.array([row[:4] for row in requests], np.int64).reshape(-1, 4).T
-    return Workload(slot, service, ingress, egress, np.array([row[4] for row in requests], np.float64))
+    time = None
+    if general and draw(st.booleans()):
+        within = draw(_list_of(st.sampled_from([0.0, 0.25, 0.5, 0.99]), len(slot)))
+        time = np.sort(slot + np.array(within))
+    lifetime = np.array([row[4] for row in requests], np.float64)
+    return Workload(slot, service, ingress, egress, lifetime, time=time)
 
 
 @st.composite
@@ -188,7 +193,7 @@ def _requests(draw, scenario: Scenario, general: bool) -> tuple[int, int, int, i
         egress = (ingress + draw(st.integers(least, scenario.substrate.num_nodes - 1))) % scenario.substrate.num_nodes
     ingress, egress = (FREE if end else node for end, node in ((kind.ingress, ingress), (kind.egress, egress)))
     # Whole lifetimes and those just beside them try the rounding of the departure slot.
-    lifetime = draw(st.sampled_from([0.01, 0.99, 1.0, 1.01, 2.0, 4.5, 50.0]))
+    lifetime = draw(st.sampled_from([0.01, 0.5, 0.99, 1.0, 1.01, 2.0, 4.5, 50.0]))
     return slot, service, ingress, egress, lifetime
 
 

@@ -164,7 +164,7 @@ class _Relaxation:
         possible = self._possible()[kind]
         self.rows = np.flatnonzero(counts)[possible]  # requests of the workload that are in the programme
         self.kind, self.slot = kind[possible], workload.slot[self.rows]
-        self.until, self.keep = self._stays(workload.departure[self.rows], mean_lifetime)
+        self.until, self.keep = self._stays(_surely_there(workload)[self.rows], mean_lifetime)
         self.active: list[int] = []  # rows of self.cuts in the programme
         self.fraction = np.zeros(self.kind.size)  # of each request, at the optimum
         profiles = scenario.profiles
@@ -285,7 +285,7 @@ class _Relaxation:
     def luck(self, workload: Workload, accepted: np.ndarray) -> float:
         """Expected less actual price of the stays of the accepted requests, at the prices that prove the bound."""
         prices = self.solve().prices
-        until, _ = self._stays(workload.departure[self.rows], None)
+        until, _ = self._stays(_surely_there(workload)[self.rows], None)
         spared = expected_price(prices, self.keep)[:, self.slot] - price_of_stay(prices, self.slot, until)
         demand = self._demand(len(prices) - len(self.class_load))[:, self.kind]
         return float((demand * spared).sum(axis=0)[accepted[self.rows]].sum())
@@ -328,3 +328,14 @@ class _Relaxation:
         cost[~np.isfinite(cost)] = 0.0  # impossible classes are in no group
         solution = self.solve(-cost, at_least=accepted)
         return max(solution.count_price * accepted - solution.bound, 0.0)
+
+
+def _surely_there(workload: Workload) -> np.ndarray:
+    """First slot through whose end each request need not stay, int64 [R].
+
+    Where requests leave within slots, one counts in the slots at whose end it is still there: all of these are there
+    together, while two that are there in the same slot need not have met.
+    """
+    if workload.time is None:
+        return workload.departure
+    return np.minimum(np.floor(workload.leaves), workload.departure).astype(np.int64)

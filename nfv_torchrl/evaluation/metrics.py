@@ -14,7 +14,7 @@ import numpy as np
 
 from nfv_torchrl.evaluation.records import RunRecord
 from nfv_torchrl.evaluation.statistics import cost_ratio
-from nfv_torchrl.scenario.units import to_ledger
+from nfv_torchrl.scenario.units import LEDGER_UNITS, to_ledger
 from nfv_torchrl.simulator.reasons import REASON_NAMES
 from nfv_torchrl.vocabulary import TABLE, Quantity, add
 
@@ -144,6 +144,32 @@ def lost_service_time(record: RunRecord) -> int:
     return int((record.workload.departure - record.interrupted_at)[_cut_short(record)].sum())
 
 
+@metric(TABLE["rac"])
+def rac(record: RunRecord) -> dict[str, float]:
+    return {"": aar(record)} if has_revenue(record) else {}
+
+
+@metric(TABLE["lrc"])
+def lrc(record: RunRecord) -> dict[str, float]:
+    if not has_revenue(record):
+        return {}
+    stay = np.where(accepted(record), record.workload.lifetime, 0.0)
+    placed, routed = asked(record)
+    cost = placed + carried(record) / LEDGER_UNITS
+    spent = float(stay @ cost)
+    return {"": float(stay @ (placed + routed)) / spent if spent else math.nan}
+
+
+@metric(TABLE["lar"])
+def lar(record: RunRecord) -> dict[str, float]:
+    if not has_revenue(record):
+        return {}
+    work = record.workload
+    last = float(work.slot[-1] if work.time is None else work.time[-1]) - record.scenario.warmup
+    earned = float(np.where(accepted(record), work.lifetime, 0.0) @ sum(asked(record)))
+    return {"": earned / last if last > 0 else math.nan}
+
+
 @metric(TABLE["decision_seconds"])
 def decision_seconds(record: RunRecord) -> float:
     return float(record.seconds)
@@ -152,6 +178,25 @@ def decision_seconds(record: RunRecord) -> float:
 @metric(TABLE["decisions_per_second"])
 def decisions_per_second(record: RunRecord) -> float:
     return record.decisions_per_second
+
+
+def has_revenue(record: RunRecord) -> bool:
+    """Whether requests bring demands of their own, which Virne's metrics take for what they pay."""
+    return record.workload.own is not None
+
+
+def asked(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
+    """What each request asks of nodes (mean over the kinds of resources) and of links, float64 [R] each.
+
+    A segment from or to an end that is free is none.
+    """
+    profiles, work = record.scenario.profiles, record.workload
+    length = profiles.chain_length[work.profile]
+    rates = profiles.rate[work.profile]
+    segment = np.arange(rates.shape[1])
+    first, last = np.where(work.ingress >= 0, 0, 1), np.where(work.egress >= 0, length, length - 1)
+    there = (segment >= first[:, None]) & (segment <= last[:, None])
+    return profiles.total.mean(axis=1)[work.profile], np.where(there, rates, 0.0).sum(axis=1)
 
 
 def counted(record: RunRecord) -> np.ndarray:
@@ -178,9 +223,10 @@ def running_total(record: RunRecord, amount: np.ndarray) -> np.ndarray:
     """Sum of ``amount`` [R] over the requests that run after each slot's arrivals, [T], of ``amount``'s dtype.
 
     An accepted request runs from its slot up to, not including, its departure slot or the slot that interrupts it.
+    Where times are given, it does not count in a slot that has an arrival when it has left.
     """
     horizon = record.scenario.horizon
-    end = np.where(record.interrupted_at >= 0, record.interrupted_at, record.workload.departure)
+    end = np.where(record.interrupted_at >= 0, record.interrupted_at, record.workload.uncounted)
     change = np.zeros(horizon + 1, amount.dtype)
     here = record.accepted
     np.add.at(change, record.workload.slot[here], amount[here])

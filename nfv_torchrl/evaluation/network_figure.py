@@ -26,7 +26,7 @@ def mean_use(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:
     """
     scenario, workload = record.scenario, record.workload
     substrate, horizon = scenario.substrate, scenario.horizon
-    leaves = np.where(record.interrupted_at >= 0, record.interrupted_at, np.minimum(workload.departure, horizon))
+    leaves = np.where(record.interrupted_at >= 0, record.interrupted_at, np.minimum(workload.uncounted, horizon))
     stay = np.where(record.accepted, leaves - workload.slot, 0) / horizon
     request = np.repeat(np.arange(len(stay)), np.diff(record.step_offsets))
     profile = workload.profile[request]

@@ -197,7 +197,7 @@ def _name(file: GraphFile, quantity: Quantity, entry: int) -> str:
 
 
 def _check_range(file: GraphFile, quantity: Quantity, entry: int, name: str, text: Any, value: float) -> None:
-    if not quantity.least <= value <= quantity.most:
+    if not quantity.least <= value <= quantity.most and value != quantity.none_at:
         least = "above 0" if quantity.least == LEAST_POSITIVE else f"at least {quantity.least:g}"
         raise ScenarioError(
             f"{file.source}: {_name(file, quantity, entry)}: {name} is {shown(text)}; it must be {least} and at most "

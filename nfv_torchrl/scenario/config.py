@@ -17,6 +17,8 @@ from nfv_torchrl.scenario.services import PAPER_VNFS, ServiceType, paper_catalog
 from nfv_torchrl.settings.values import parse_dataclass, shown
 
 Range = tuple[float, float]
+HORIZON = 1000
+"""T of the paper, slots."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class SubstrateConfig:
 
 @dataclass(frozen=True)
 class WorkloadConfig:
-    """``path``: CSV file of requests that replaces sampled workloads, or null."""
+    """``path``: file or folder of requests that replaces sampled workloads, or null (``docs/data.md``)."""
 
     path: str | None = None
 
@@ -86,6 +88,7 @@ class ScenarioConfig:
     """All keys of a scenario; see ``nfv_torchrl.scenario.Scenario`` for those that it has too.
 
     Attributes:
+        horizon: T, slots; null: up to the last request of ``workload.path``.
         pairs_per_service: P, (ingress, egress) pairs of a service type with ``endpoints: catalogue``.
         placement: ``walk``: one function with each arrival at a node; ``colocate``: what ``colocation: true`` says;
             ``distinct``: no two functions of a request on one node; null: as ``colocation`` says.
@@ -96,7 +99,7 @@ class ScenarioConfig:
 
     name: str = "paper"
     seed: int = 0
-    horizon: int = 1000
+    horizon: int | None = HORIZON
     warmup: int = 0
     arrival_rate: float = 10.0
     mean_lifetime: float = 600.0

@@ -31,6 +31,8 @@ def file_vms(numbers: FileNumbers, kept: list[int], ranges: ResourceRanges, seed
     count = np.array(
         [_count(numbers, place) if vms is None else len(vms) for vms, place in zip(lists, kept, strict=True)], np.int64
     )
+    # A node whose VMs have no capacity has none.
+    count[numbers.values["vm_capacity"][kept] == 0.0] = 0
     slots = _slots(file.attributes.get("max_vms"), count, ranges, file.source)
     drawn = draw_vms(len(kept), seed, ranges, count)
     capacity, unit_cost = (_resized(table, slots) for table in (drawn.vm_capacity, drawn.vm_unit_cost))

@@ -42,6 +42,7 @@ class Quantity:
         unit: this project's, for people.
         units: those a file may use, by name.
         least, most: the range of values in this project's unit.
+        none_at: a value out of the range that says that there is no such thing.
         zoo: names of the Internet Topology Zoo, with their units, that are read after this project's own.
     """
 
@@ -52,6 +53,7 @@ class Quantity:
     least: float = LEAST_POSITIVE
     most: float = MAX_CAPACITY
     zoo: Mapping[str, Unit] = field(default_factory=dict)
+    none_at: float | None = None
 
 
 _ALL = (
@@ -61,7 +63,7 @@ _ALL = (
     Quantity("latitude", "node", "degrees", least=-90.0, most=90.0, zoo={"Latitude": Unit()}),
     Quantity("longitude", "node", "degrees", least=-180.0, most=180.0, zoo={"Longitude": Unit()}),
     Quantity("vm_count", "node", "VMs", least=0.0, most=MAX_VMS),
-    Quantity("vm_capacity", "node", "Mcycles/s", least=1 / LEDGER_UNITS),
+    Quantity("vm_capacity", "node", "Mcycles/s", least=1 / LEDGER_UNITS, none_at=0.0),
     Quantity("vm_unit_cost", "node", "$ per Mcycles/s"),
 )
 QUANTITIES = {quantity.key: quantity for quantity in _ALL}

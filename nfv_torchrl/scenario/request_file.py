@@ -17,6 +17,7 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import read_text, write_atomically
 from nfv_torchrl.scenario.demands import Demand, parse_demand, to_profiles, write_demand
+from nfv_torchrl.scenario.limits import MAX_SLOTS
 from nfv_torchrl.scenario.profiles import Profiles
 from nfv_torchrl.scenario.services import ANY, FREE, ServiceCatalogue
 from nfv_torchrl.scenario.substrate import Substrate
@@ -28,7 +29,9 @@ INDEX_HEADER = ("slot", "service", "ingress_index", "egress_index", "lifetime")
 """Columns of a file that numbers nodes 0 .. N-1 in the substrate's order, as the files that are written here."""
 DEMAND = "demand"
 """A further column, where requests ask for something else than their service: JSON, see ``scenario/demands.py``."""
-KNOWN = (*HEADER, "ingress_index", "egress_index", DEMAND)
+TIME = "time"
+"""A further column, where requests arrive between the beginnings of slots: s, within the slot."""
+KNOWN = (*HEADER, "ingress_index", "egress_index", DEMAND, TIME)
 LONGEST_FIELD = 500
 
 # int() and float() take more than a file should say: 1_000, infinity, digits of other scripts.
@@ -39,7 +42,7 @@ DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 class Columns(NamedTuple):
     """R requests: ``slot``, ``service``, ``ingress``, ``egress`` int64 [R], ``lifetime`` (s) float64 [R].
 
-    ``profile`` int64 [R] and ``own`` as in ``Workload``.
+    ``profile`` int64 [R], ``own`` and ``time`` as in ``Workload``.
     """
 
     slot: np.ndarray
@@ -49,6 +52,13 @@ class Columns(NamedTuple):
     lifetime: np.ndarray
     profile: np.ndarray
     own: Profiles | None = None
+    time: np.ndarray | None = None
+
+
+def slots_of(time: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Slots int64 [R] of arrivals at ``time`` (s) float64 [R]; and ``time``, None if all come as their slot begins."""
+    slot = np.floor(time).astype(np.int64)
+    return slot, None if np.array_equal(slot, time) else time
 
 
 def write_columns(path: str | os.PathLike[str], columns: Columns, catalogue: ServiceCatalogue) -> None:
@@ -62,7 +72,11 @@ def write_columns(path: str | os.PathLike[str], columns: Columns, catalogue: Ser
         first = len(catalogue.types)
         demands = [write_demand(columns.own, row, catalogue.resources) for row in range(len(columns.own))]
         rows.append([demands[place - first] if place >= first else "" for place in columns.profile.tolist()])
-    writer.writerow(INDEX_HEADER if columns.own is None else (*INDEX_HEADER, DEMAND))
+    header = INDEX_HEADER if columns.own is None else (*INDEX_HEADER, DEMAND)
+    if columns.time is not None:
+        header = (*header, TIME)
+        rows.append(columns.time.tolist())
+    writer.writerow(header)
     writer.writerows(zip(*rows, strict=True))
     write_atomically(path, text.getvalue())
 
@@ -71,7 +85,7 @@ def read_columns(
     path: str | os.PathLike[str],
     catalogue: ServiceCatalogue,
     substrate: Substrate,
-    horizon: int,
+    horizon: int | None,
     *,
     allow_empty: bool = False,
     numbers_are_indices: bool = False,
@@ -82,7 +96,7 @@ def read_columns(
         path: the file.
         catalogue: whose services it names.
         substrate: whose nodes it names.
-        horizon: slots are below it.
+        horizon: slots are below it; None: there is no limit but ``limits.MAX_SLOTS``.
         allow_empty: whether a file without requests will do.
         numbers_are_indices: read ``ingress`` and ``egress`` as indices too: files written before there was
             ``INDEX_HEADER`` have these names.
@@ -114,20 +128,20 @@ class _RowParser:
         header: list[str],
         catalogue: ServiceCatalogue,
         substrate: Substrate,
-        horizon: int,
+        horizon: int | None,
         numbers_are_indices: bool,
     ) -> None:
         self.header = header
         self.services = {name: index for index, name in enumerate(catalogue.names)}
         self.catalogue = catalogue
         self.substrate = substrate
-        self.horizon = horizon
+        self.horizon = MAX_SLOTS if horizon is None else horizon
         by_index = numbers_are_indices or "ingress_index" in header
         self.find: Callable[[str], int] = self._index if by_index else substrate.node_index
         self.nodes: dict[str, int] = {}  # what was looked up before
         # Compact: as tuples of Python numbers, ten million requests would take gigabytes.
         self.slot, self.service, self.ingress, self.egress = (array("q") for _ in range(4))
-        self.lifetime = array("d")
+        self.lifetime, self.time = array("d"), array("d")
         self.profile = array("q")
         self.demands: dict[tuple[int, str], int] = {}  # profile by service and text: requests that are alike share it
         self.own: list[Demand] = []
@@ -138,7 +152,8 @@ class _RowParser:
             np.array(column, np.int64) for column in (self.slot, self.service, self.ingress, self.egress, self.profile)
         )
         own = to_profiles(self.own, self.catalogue.resources) if self.own else None
-        return Columns(slot, service, ingress, egress, np.array(self.lifetime, np.float64), profile, own)
+        time = slots_of(np.array(self.time, np.float64))[1] if self.time else None
+        return Columns(slot, service, ingress, egress, np.array(self.lifetime, np.float64), profile, own, time)
 
     def add(self, row: list[str], where: str) -> None:
         """Take in one row; ``where`` names it in errors."""
@@ -161,6 +176,8 @@ class _RowParser:
                 f"{where}: has no functions and no two different end nodes, so it asks for nothing; correct its "
                 "ingress or egress"
             )
+        if TIME in fields:
+            self.time.append(self._time(fields[TIME], slot, where))
         self.profile.append(profile)
         self.lifetime.append(_lifetime(fields["lifetime"], where))
         self.slot.append(slot)
@@ -189,6 +206,17 @@ class _RowParser:
         if self.slot and slot < self.slot[-1]:
             raise ScenarioError(f"{where}: slot {slot} follows {self.slot[-1]}; sort lines by slot")
         return slot
+
+    def _time(self, text: str, slot: int, where: str) -> float:
+        """The moment of an arrival, which is in ``slot`` and not before the one above it."""
+        time = float(text) if DECIMAL.fullmatch(text) else math.nan
+        if not slot <= time < slot + 1:
+            raise ScenarioError(
+                f"{where}: time {shown(text)} is not in slot {slot}; use s from {slot} to below {slot + 1}"
+            )
+        if self.time and time < self.time[-1]:
+            raise ScenarioError(f"{where}: time {time:g} follows {self.time[-1]:g}; sort lines by time")
+        return time
 
     def _node(self, text: str, where: str) -> int:
         if text == ANY:
@@ -232,7 +260,7 @@ def _header_problem(names: list[str]) -> str | None:
     missing = _missing(HEADER, names)
     if missing and _missing(INDEX_HEADER, names):
         return f"{missing[0]!r} is missing: add it"
-    if len(names) > len(HEADER) + (DEMAND in names):
+    if len(names) > len(HEADER) + (DEMAND in names) + (TIME in names):
         return "nodes are named by ingress and egress or by ingress_index and egress_index, not by both"
     return None
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.scenario.config import ScenarioConfig, parse_config
+from nfv_torchrl.scenario.config import HORIZON, ScenarioConfig, parse_config
 from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline, sample_timeline
 from nfv_torchrl.scenario.limits import (
     MAX_REQUESTS,
@@ -49,6 +49,8 @@ KINDS: dict[str, Any] = {
 SHORTEST_MEAN, LONGEST_MEAN = 1e-6, 1e12
 """s; mean lifetimes beyond make sums of delays and loads lose digits or overflow."""
 TARGET_RHO_TOLERANCE = 1e-6
+READ_FOR = {"workload_path", "catalogue", "substrate", "horizon", "seed"}
+"""What the reading of a workload file depends on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +76,7 @@ class Scenario:
         observe_lifetime: policies and planners see a request's lifetime.
         max_steps: J, steps a request's walk may take.
         failures: probabilities of failures and repairs.
-        workload_path: CSV file that replaces the sampled workloads, or None.
+        workload_path: file or folder of requests that replaces the sampled workloads, or None.
 
     Raises:
         ScenarioError: a value is out of range or does not fit the others.
@@ -84,7 +86,7 @@ class Scenario:
     seed: int
     substrate: Substrate
     catalogue: ServiceCatalogue
-    horizon: int = ScenarioConfig.horizon
+    horizon: int = HORIZON
     warmup: int = ScenarioConfig.warmup
     arrival_rate: float = ScenarioConfig.arrival_rate
     mean_lifetime: float = ScenarioConfig.mean_lifetime
@@ -267,11 +269,14 @@ class Scenario:
             pairs = draw_endpoint_pairs(len(catalogue.types), config.pairs_per_service, substrate, config.seed)
         shared = {spec.name for spec in dataclasses.fields(cls)} & {spec.name for spec in dataclasses.fields(config)}
         taken = {key: getattr(config, key) for key in shared - {"substrate"}}
-        scenario = cls(
-            substrate=substrate, catalogue=catalogue, endpoint_pairs=pairs, workload_path=config.workload.path, **taken
-        )
-        if scenario.workload_path is not None:
-            _ = scenario.profiles  # refuse a bad file now, not hours later
+        path, requests = config.workload.path, None
+        if path is not None:  # a bad file is refused now, not hours later
+            requests = Workload.from_file(path, catalogue, substrate, config.horizon, config.seed)
+        taken["horizon"] = _horizon(config, requests)
+        scenario = cls(substrate=substrate, catalogue=catalogue, endpoint_pairs=pairs, workload_path=path, **taken)
+        if requests is not None:
+            vars(scenario)["file_workload"] = requests
+            _ = scenario.profiles
         return scenario._scaled_to(config.substrate.target_rho)
 
     def _scaled_to(self, target_rho: float | None) -> Scenario:
@@ -286,7 +291,10 @@ class Scenario:
 
     def replace(self, **changes: Any) -> Scenario:
         """A copy with some attributes changed (and checked again)."""
-        return dataclasses.replace(self, **changes)
+        other = dataclasses.replace(self, **changes)
+        if "file_workload" in vars(self) and not changes.keys() & READ_FOR:
+            vars(other)["file_workload"] = self.file_workload  # a folder of a thousand files is read once
+        return other
 
     def offered_load(self) -> float:
         """rho, the processing load offered over that installed.
@@ -316,8 +324,10 @@ class Scenario:
     def file_workload(self) -> Workload:
         """The requests of ``workload_path``, read once."""
         if self.workload_path is None:
-            raise ScenarioError("workload.path: is null, so there is no file to read; give a CSV file")
-        return Workload.from_csv(self.workload_path, self.catalogue, self.substrate, self.horizon)
+            raise ScenarioError(
+                "workload.path: is null, so there is no file to read; give a file or folder of requests"
+            )
+        return Workload.from_file(self.workload_path, self.catalogue, self.substrate, self.horizon, self.seed)
 
     def workload(self, seed: int, *key: int) -> Workload:
         """The requests of workload seed ``seed``, always the same; with a workload file those, whatever the seed.
@@ -331,6 +341,17 @@ class Scenario:
     def failure_timeline(self, seed: int, *key: int) -> FailureTimeline:
         """Failures and repairs of workload seed ``seed``; empty when failures are off."""
         return sample_timeline(self.failures, self.substrate, self.horizon, generator(seed, Stream.FAILURES, *key))
+
+
+def _horizon(config: ScenarioConfig, requests: Workload | None) -> int:
+    """T: as stated, or up to the last request of a file."""
+    if config.horizon is not None:
+        return config.horizon
+    if requests is None:
+        raise ScenarioError(
+            "horizon: is null, which means up to the last request of workload.path; give a number of slots"
+        )
+    return int(requests.slot[-1]) + 1
 
 
 def draw_endpoint_pairs(types: int, pairs_per_service: int, substrate: Substrate, seed: int) -> np.ndarray:

@@ -22,6 +22,7 @@ class Stream(IntEnum):
     EXPLORATION = 6
     NETWORKS = 7
     EVOLUTION = 8
+    REQUESTS = 9
 
 
 LARGEST_SEED = 2**63 - 1

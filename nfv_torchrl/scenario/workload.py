@@ -1,9 +1,10 @@
-"""Workloads: every request of a horizon, sampled from a scenario's stream or read from a CSV file."""
+"""Workloads: every request of a horizon, sampled from a scenario's stream or read from a file."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,9 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.profiles import Profiles
 from nfv_torchrl.scenario.request_file import Columns, read_columns, write_columns
+from nfv_torchrl.scenario.request_sets import is_request_set, read_request_set
 from nfv_torchrl.scenario.services import ANY, FREE, ServiceCatalogue
+from nfv_torchrl.scenario.streams import Stream, generator
 
 if TYPE_CHECKING:
     from nfv_torchrl.scenario.scenario import Scenario
@@ -34,6 +37,7 @@ class Workload:
         profile: what each asks for, int64 [R]: below K that of a service, from K on one of ``own``; by default the
             service's.
         own: profiles that requests of a file bring, or None.
+        time: s, when each arrives within its slot, float64 [R], never decreasing; None: as its slot begins.
     """
 
     slot: np.ndarray
@@ -43,12 +47,13 @@ class Workload:
     lifetime: np.ndarray
     profile: np.ndarray = None  # type: ignore[assignment]
     own: Profiles | None = None
+    time: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.profile is None:
             object.__setattr__(self, "profile", self.service)
-        for name in (*Columns._fields[:5], "profile"):
-            kind = np.float64 if name == "lifetime" else np.int64
+        for name in (*Columns._fields[:5], "profile", *(() if self.time is None else ("time",))):
+            kind = np.float64 if name in ("lifetime", "time") else np.int64
             column = np.asarray(getattr(self, name))
             if column.shape != (len(self.slot),) or (len(column) and not np.can_cast(column.dtype, kind, "same_kind")):
                 raise ScenarioError(f"workload: {name} is {column.dtype} {list(column.shape)}; use {kind.__name__} [R]")
@@ -61,6 +66,10 @@ class Workload:
             raise ScenarioError("workload: service, ingress and egress are indices from 0; a free end is -1")
         if not (self.lifetime.min() > 0 and np.isfinite(self.lifetime.max())):
             raise ScenarioError("workload: a lifetime is not a positive, finite number of seconds; correct it")
+        if self.time is not None and (np.any(np.floor(self.time) != self.slot) or np.any(np.diff(self.time) < 0)):
+            raise ScenarioError(
+                "workload: times must be within their slots and never decrease; sort the requests by time"
+            )
 
     @property
     def free_ends(self) -> bool:
@@ -107,9 +116,30 @@ class Workload:
 
     @property
     def departure(self) -> np.ndarray:
-        """Slot in whose beginning each request leaves if accepted, int64 [R]: at least one after its arrival."""
-        stay = np.clip(np.ceil(self.lifetime), 1, LONGEST_STAY).astype(np.int64)
-        return self.slot + stay
+        """Slot in whose beginning each request has left if accepted, int64 [R]: at least one after its arrival."""
+        if self.time is None:
+            return self.slot + np.clip(np.ceil(self.lifetime), 1, LONGEST_STAY).astype(np.int64)
+        return np.maximum(np.ceil(np.minimum(self.leaves, LONGEST_STAY)).astype(np.int64), self.slot + 1)
+
+    @property
+    def leaves(self) -> np.ndarray:
+        """When each request leaves, s, float64 [R]: before all that arrive then or later in that slot."""
+        if self.time is None:
+            return self.departure.astype(np.float64)
+        return np.maximum(self.time + self.lifetime, np.nextafter(self.time, np.inf))  # never as soon as it comes
+
+    @property
+    def uncounted(self) -> np.ndarray:
+        """First slot after whose last arrival each request has left, int64 [R]; where times are given, it may come
+        before ``departure``, and be the slot of the arrival itself."""
+        if self.time is None or not len(self):
+            return self.departure
+        slots, last = np.unique(self.slot[::-1], return_index=True)
+        latest = self.time[::-1][last]  # time of the last arrival in each of these slots
+        during = np.floor(np.minimum(self.leaves, LONGEST_STAY)).astype(np.int64)
+        place = np.minimum(np.searchsorted(slots, during), len(slots) - 1)
+        gone = (slots[place] == during) & (latest[place] >= self.leaves)
+        return np.where(gone, during, self.departure)
 
     @classmethod
     def sample(cls, scenario: Scenario, rng: np.random.Generator) -> Workload:
@@ -135,7 +165,8 @@ class Workload:
         return cls(slot, service.astype(np.int64), ingress, egress, lifetime)
 
     def to_csv(self, path: str | os.PathLike[str], catalogue: ServiceCatalogue) -> None:
-        """Write ``slot,service,ingress_index,egress_index,lifetime``; lifetimes (s) with all their digits.
+        """Write ``slot,service,ingress_index,egress_index,lifetime``; lifetimes (s) with all their digits. ``demand``
+        and ``time`` follow where requests bring them.
 
         Indices are the substrate's, 0 .. N-1; the header says so, because in other files a number is a node's id.
         """
@@ -147,7 +178,7 @@ class Workload:
         path: str | os.PathLike[str],
         catalogue: ServiceCatalogue,
         substrate: Substrate,
-        horizon: int,
+        horizon: int | None,
         *,
         allow_empty: bool = False,
         numbers_are_indices: bool = False,
@@ -164,6 +195,31 @@ class Workload:
             path, catalogue, substrate, horizon, allow_empty=allow_empty, numbers_are_indices=numbers_are_indices
         )
         return cls(*columns)
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | os.PathLike[str],
+        catalogue: ServiceCatalogue,
+        substrate: Substrate,
+        horizon: int | None,
+        seed: int,
+    ) -> Workload:
+        """Read a CSV file, a folder of Virne's or ``requests.json`` of CN-UPB/NFVdeep (``docs/data.md``).
+
+        Args:
+            path: file or folder.
+            catalogue: whose services and kinds of resources are asked for.
+            substrate: whose nodes a CSV file names.
+            horizon: arrivals are below it; None: as long as the requests.
+            seed: scenario seed, for a file that holds the laws of its requests.
+
+        Raises:
+            ScenarioError: it cannot be used; the message names the line or request, and the remedy.
+        """
+        if not is_request_set(Path(path)):
+            return cls.from_csv(path, catalogue, substrate, horizon)
+        return cls(*read_request_set(Path(path), catalogue, horizon, lambda: generator(seed, Stream.REQUESTS)))
 
 
 def _split(rng: np.random.Generator, count: int) -> list[np.random.Generator]:

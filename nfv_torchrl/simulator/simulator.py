@@ -209,6 +209,8 @@ class Simulator:
         happens = _no_events() if timeline is None else self._padded_events(b, timeline)
         events = len(happens[0])
         self._widen_arrivals(requests, events)
+        if workload.time is not None:
+            self._keep_times()
         arrivals, env = self.world.arrivals, self.world.env
         arrivals.slot[b, :requests] = workload.slot
         arrivals.profile[b, :requests] = workload.profile
@@ -217,6 +219,10 @@ class Simulator:
         arrivals.lifetime[b, :requests] = np.minimum(workload.lifetime, np.finfo(np.float32).max)
         # Departures past the horizon are all alike; clipping keeps them within int32.
         arrivals.departure[b, :requests] = np.minimum(workload.departure, self.world.env["horizon"][b])
+        if arrivals.time.shape[1] and workload.time is not None:
+            arrivals.time[b, :requests], arrivals.leaves[b, :requests] = workload.time, workload.leaves
+        elif arrivals.time.shape[1]:
+            arrivals.time[b, :requests], arrivals.leaves[b, :requests] = workload.slot, np.inf  # none within a slot
         shares = self._service_shares[b % len(self.scenarios)]
         # A request with a free end is on no pair of nodes, so it reads as the first of its service.
         free, first = (workload.ingress < 0) | (workload.egress < 0), (0, 0)
@@ -245,6 +251,15 @@ class Simulator:
         as_vm = vm_resource(*split_vm(resource, own_vms), vms)
         return slot, np.where(resource >= first_link, link_resource(link, nodes, vms), as_vm), up
 
+    def _keep_times(self) -> None:
+        """Make room for times within slots, where some environment's requests have them. None had any so far."""
+        arrivals = self.world.arrivals
+        if arrivals.time.shape[1] == 0:
+            # Other environments go on as they did: nothing leaves within a slot.
+            leaves = np.full(arrivals.slot.shape, np.inf)
+            arrivals = arrivals._replace(time=arrivals.slot.astype(np.float64), leaves=leaves)
+            self.world = self.world._replace(arrivals=arrivals)
+
     def _widen_arrivals(self, requests: int, events: int) -> None:
         arrivals = self.world.arrivals
         have = arrivals.slot.shape[1]
@@ -253,7 +268,7 @@ class Simulator:
             requests += requests // 16
             arrivals = type(arrivals)(
                 **{
-                    name: array if name.startswith("event_") else widen(array, requests)
+                    name: array if name.startswith("event_") or not array.shape[1] else widen(array, requests)
                     for name, array in arrivals._asdict().items()
                 }
             )

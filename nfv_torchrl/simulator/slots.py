@@ -22,6 +22,25 @@ def _depart(world, b):
 
 
 @part
+def _depart_within(world, b):
+    """Requests that leave in this slot, by the time that the next one comes, leave before it."""
+    arrivals, running, e = world.arrivals, world.running, world.env[b]
+    now = arrivals.time[b, e.cursor]
+    before = -1
+    record = running.head[b, e.slot + 1]  # a slot's departures are chained where all of them are over
+    while record != -1:
+        if arrivals.leaves[b, running.record_request[b, record]] > now:
+            before = record
+            record = running.record_next[b, record]
+            continue
+        record = end_record(world, b, record)
+        if before == -1:
+            running.head[b, e.slot + 1] = record
+        else:
+            running.record_next[b, before] = record
+
+
+@part
 def _uses(running, b, record, resource):
     entry = running.record_entry[b, record]
     while entry != -1:
@@ -102,6 +121,8 @@ def next_request(world, b):
         e.done = 1
         write_mask(world, b)
     else:
+        if world.arrivals.time.shape[1] > 0:
+            _depart_within(world, b)
         _begin_request(world, b)
 
 

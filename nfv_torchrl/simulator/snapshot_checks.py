@@ -261,6 +261,11 @@ def _check_running(world: World) -> np.ndarray:
     request = np.where(in_use, request, 0)
     leaves = np.minimum(np.take_along_axis(arrivals.departure, request, 1), e["horizon"][:, None])
     require((leaves == slot) | ~in_use, "running.head", "has a request in another slot than that of its departure")
+    if arrivals.time.shape[1]:
+        row = np.minimum(e["cursor"], arrivals.time.shape[1] - 1)[:, None]
+        now = np.where(e["done"] == 0, np.take_along_axis(arrivals.time, row, 1)[:, 0], -np.inf)
+        left = np.take_along_axis(arrivals.leaves, request, 1) <= now[:, None]
+        require(~left | ~in_use, "running.head", "holds what has left within the slot")
     listed = np.sort(np.where(in_use, request, -1 - np.arange(records)), 1)
     require(np.diff(listed, axis=1) > 0, "running.record_request", "has a request twice")
     require(

@@ -85,6 +85,8 @@ class Arrivals(NamedTuple):
     departure: np.ndarray  # int32 [B, R]
     lifetime: np.ndarray  # float32 [B, R], s
     service_share: np.ndarray  # float32 [B, R], index among the K services scaled to [0, 1]
+    time: np.ndarray  # float64 [B, R], s; [B, 0] while all arrive as their slots begin
+    leaves: np.ndarray  # float64 [B, R], s; [B, 0] likewise
     event_slot: np.ndarray  # int32 [B, E]
     event_resource: np.ndarray  # int32 [B, E]
     event_up: np.ndarray  # bool [B, E]
@@ -250,6 +252,8 @@ def new_arrivals(batch: int, requests: int, events: int) -> Arrivals:
         departure=np.zeros((batch, requests), np.int32),
         lifetime=np.zeros((batch, requests), np.float32),
         service_share=np.zeros((batch, requests), np.float32),
+        time=np.zeros((batch, 0)),
+        leaves=np.zeros((batch, 0)),
         event_slot=np.zeros((batch, events), np.int32),
         event_resource=np.zeros((batch, events), np.int32),
         event_up=np.zeros((batch, events), np.bool_),

@@ -177,7 +177,7 @@ DAMAGED = [
     ("repetita.graph", "9953280 3450", "fast 3450", "line 9: 'fast' where a number was expected"),
     ("repetita.graph", "edge_3 2 1", "edge_3 2 7", "a link names node '7', which is not among"),
     ("topohub.json", '"2": {"1": 2}', '"2": {"9": 2}', "a demand names node '9'"),
-    ("realvnf.graphml", '<data key="d1">10</data>', '<data key="d1">0</data>', "node '0': NodeCap is '0'; it must be"),
+    ("realvnf.graphml", '<data key="d1">10</data>', '<data key="d1">-1</data>', "node '0': NodeCap is '-1'; it must"),
 ]  # fmt: skip
 
 

@@ -42,10 +42,10 @@ def composed(*overrides: str) -> Scenario:
 
 
 def test_all_are_listed_here():
-    assert sorted(SETTINGS) == NAMES
+    assert sorted([*SETTINGS, "virne"]) == NAMES
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", SETTINGS)
 def test_yaml_builds(name):
     scenario = composed(f"+scenario={name}")
     substrate = scenario.substrate
@@ -53,6 +53,24 @@ def test_yaml_builds(name):
     assert (scenario.name, *actual) == (name, *SETTINGS[name][:-1])
     assert scenario.offered_load() == pytest.approx(SETTINGS[name][-1], abs=0.005)
     assert composed(f"+scenario={name}", "scenario.colocation=true").colocation
+
+
+def test_virne_is_as_long_as_its_requests():
+    files = Path(__file__).parent / "formats"
+    scenario = composed(
+        "+scenario=virne",
+        f"scenario.workload.path={files / 'virne_set'}",
+        f"scenario.substrate.path={files / 'virne.gml'}",
+    )
+    assert (scenario.name, scenario.horizon, scenario.placement_rule, scenario.free_ends) == (
+        "virne",
+        8,
+        "distinct",
+        True,
+    )
+    assert {*scenario.substrate.link_unit_cost, *scenario.substrate.vm_unit_cost.ravel()} == {1.0}
+    with pytest.raises(ScenarioError, match=r"horizon: is null, which means up to the last request of workload.path"):
+        composed("+scenario=virne")
 
 
 def test_base_yaml_says_what_the_dataclasses_say():
@@ -239,7 +257,7 @@ def test_path_of_a_json_file(tmp_path):
         ({"horizon": 10.5}, "scenario.horizon: 10.5 where an integer"),
         ({"horizon": "long"}, "scenario.horizon: 'long' where an integer"),
         ({"horizon": True}, "scenario.horizon: True where an integer"),
-        ({"horizon": None}, "scenario.horizon: None where an integer"),
+        ({"horizon": None}, "horizon: is null"),
         ({"horizon": 0}, "horizon: 0"),
         ({"arrival_rate": float("nan")}, "scenario.arrival_rate: nan where a finite number"),
         ({"mean_lifetime": float("inf")}, "scenario.mean_lifetime: inf where a finite number"),

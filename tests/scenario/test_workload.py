@@ -115,7 +115,7 @@ def test_seed_and_key_decide_and_nothing_else():
 def test_a_longer_horizon_continues_the_same_arrivals():
     short, long = (paper_scenario(horizon=horizon, endpoints="uniform").workload(7) for horizon in (100, 300))
     for field in dataclasses.fields(Workload):
-        if field.name != "own":
+        if getattr(short, field.name) is not None:
             np.testing.assert_array_equal(getattr(short, field.name), getattr(long, field.name)[: len(short)])
 
 

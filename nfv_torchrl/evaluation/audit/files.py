@@ -30,6 +30,8 @@ LARGEST_INTEGER = 2**128
 WORKLOAD_HEADERS = [
     ["slot", "service", "ingress_index", "egress_index", "lifetime"],
     ["slot", "service", "ingress_index", "egress_index", "lifetime", "demand"],
+    ["slot", "service", "ingress_index", "egress_index", "lifetime", "time"],
+    ["slot", "service", "ingress_index", "egress_index", "lifetime", "demand", "time"],
     ["slot", "service", "ingress", "egress", "lifetime"],  # of older runs; indices too
 ]
 SCENARIO_KEYS: dict[str, Any] = {
@@ -87,11 +89,26 @@ class Request(NamedTuple):
     egress: int
     lifetime: float
     demand: str = ""
+    time: float | None = None
 
     @property
     def departure(self) -> int:
-        """Slot at whose beginning it leaves; lifetimes past all horizons count as ``LONGEST_STAY``."""
+        """Slot at whose beginning it has left; lifetimes past all horizons count as ``LONGEST_STAY``."""
+        if self.time is not None:
+            return max(self.slot + 1, math.ceil(min(self.leaves, LONGEST_STAY)))
         return self.slot + min(max(1, math.ceil(self.lifetime)), LONGEST_STAY)
+
+    @property
+    def arrives(self) -> float:
+        """When it comes, s."""
+        return self.slot if self.time is None else self.time
+
+    @property
+    def leaves(self) -> float:
+        """When it leaves, s, before all that come then or later."""
+        if self.time is None:
+            return self.departure
+        return max(self.time + self.lifetime, math.nextafter(self.time, math.inf))
 
 
 @dataclass
@@ -262,34 +279,43 @@ def _vm(vm: dict[str, Any], kinds: list[str]) -> Vm:
     return Vm(tuple(round(x * UNITS) for x in capacity), capacity, unit_cost)
 
 
-def read_csv(path: Path, *headers: list[str]) -> list[tuple[int, list[str]]]:
-    """The rows below one of the ``headers``, with their line numbers.
+def read_csv(path: Path, *headers: list[str]) -> tuple[list[tuple[int, list[str]]], list[str]]:
+    """The rows below one of the ``headers``, with their line numbers; and that header.
 
     Raises:
         UnreadableRun: the file cannot be read, or its first line is another.
     """
     rows = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
     try:
-        if next(rows, None) not in headers:
+        header = next(rows, [])
+        if header not in headers:
             raise UnreadableRun(f"{path.name}: the header is not {','.join(headers[0])}")
-        return [(rows.line_num, row) for row in rows]
+        return [(rows.line_num, row) for row in rows], header
     except csv.Error as error:
         raise UnreadableRun(f"{path.name} line {rows.line_num}: {error}") from error
 
 
 def _workload(path: Path, nodes: int, services: dict[str, Service], horizon: int) -> list[Request]:
     requests: list[Request] = []
-    for line, row in read_csv(path, *WORKLOAD_HEADERS):
+    rows, header = read_csv(path, *WORKLOAD_HEADERS)
+    for line, row in rows:
         where = f"workload.csv line {line}"
         try:
-            slot, service, ingress, egress, lifetime, *demand = row
+            slot, service, ingress, egress, lifetime, *_ = row
             first, last = (FREE if end == ANY else int(end) for end in (ingress, egress))
-            request = Request(int(slot), service, first, last, float(lifetime), *demand)
+            more = dict(zip(header[5:], row[5:], strict=True))
+            time = float(more["time"]) if "time" in more else None
+            request = Request(int(slot), service, first, last, float(lifetime), more.get("demand", ""), time)
         except (ValueError, TypeError) as error:
             raise UnreadableRun(f"{where}: {error}") from error
         earliest = requests[-1].slot if requests else 0
         if not earliest <= request.slot < horizon:
             raise UnreadableRun(f"{where}: slot {request.slot} is out of order or beyond the horizon {horizon}")
+        if (
+            time is not None
+            and not max(request.slot, requests[-1].arrives if requests else 0) <= time < request.slot + 1
+        ):
+            raise UnreadableRun(f"{where}: the time {time} is not in slot {request.slot}, or out of order")
         if service not in services:
             raise UnreadableRun(f"{where}: unknown service {service!r}")
         if not (FREE <= request.ingress < nodes and FREE <= request.egress < nodes):

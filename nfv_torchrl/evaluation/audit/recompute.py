@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from nfv_torchrl.evaluation.audit.files import RunFiles, Service, is_number
+from nfv_torchrl.evaluation.audit.files import FREE, RunFiles, Service, is_number
 from nfv_torchrl.evaluation.audit.rejections import REASONS
 from nfv_torchrl.evaluation.audit.replay import Answer, Replayed
 from nfv_torchrl.vocabulary import TABLE, find, in_place
@@ -171,6 +171,53 @@ def _interrupted(decided: Decided) -> float | None:
 def _lost(decided: Decided) -> int:
     cut = [answer for answer in decided.accepted if answer.interrupted_at is not None]
     return sum(answer.request.departure - answer.end for answer in cut)
+
+
+@recomputes("rac")
+def _rac(decided: Decided) -> dict[str, float | None]:
+    return {"": _aar(decided)} if decided.files.demands else {}
+
+
+@recomputes("lrc")
+def _lrc(decided: Decided) -> dict[str, float | None]:
+    if not decided.files.demands:
+        return {}
+    spent = math.fsum(_node_demand(decided, answer) * answer.request.lifetime for answer in decided.accepted)
+    spent += math.fsum(
+        amount / 1e6 * answer.request.lifetime
+        for answer in decided.accepted
+        for ((kind, *_), _), amount in answer.walk.uses
+        if kind == "link"
+    )
+    return {"": _earned(decided) / spent if spent else None}
+
+
+@recomputes("lar")
+def _lar(decided: Decided) -> dict[str, float | None]:
+    if not decided.files.demands:
+        return {}
+    last = decided.files.workload[-1].arrives - decided.files.scenario["warmup"]
+    return {"": _earned(decided) / last if last > 0 else None}
+
+
+def _earned(decided: Decided) -> float:
+    """Amounts and rates that the accepted requests ask for, times their lifetimes."""
+    return math.fsum(
+        (_node_demand(decided, answer) + _link_demand(decided, answer)) * answer.request.lifetime
+        for answer in decided.accepted
+    )
+
+
+def _node_demand(decided: Decided, answer: Answer) -> float:
+    load = decided.files.asked(answer.request).load
+    return math.fsum(math.fsum(amounts) / len(amounts) for amounts in load)
+
+
+def _link_demand(decided: Decided, answer: Answer) -> float:
+    """Rates of the segments, without those to or from an end that is free."""
+    rates = decided.files.asked(answer.request).rate
+    first, last = answer.request.ingress == FREE, answer.request.egress == FREE
+    return math.fsum(rates[int(first) : len(rates) - int(last)])
 
 
 def offered_load(files: RunFiles) -> float:

@@ -46,11 +46,14 @@ class Answer:
     reason: str | None
     walk: ReplayedWalk
     interrupted_at: int | None = None
+    left_in: int | None = None  # slot within which it left before another came
 
     @property
     def end(self) -> int:
-        """First slot in which it no longer runs."""
-        return self.request.departure if self.interrupted_at is None else self.interrupted_at
+        """First slot after whose last arrival it no longer runs."""
+        if self.interrupted_at is not None:
+            return self.interrupted_at
+        return self.request.departure if self.left_in is None else self.left_in
 
 
 @dataclass
@@ -128,17 +131,27 @@ class _Replay:
         upcoming = next(requests, None)
         for slot in range(self.files.scenario["horizon"]):
             for index in self.leaving.pop(slot, ()):
-                if self.done.answers[index].interrupted_at is None:
+                if self.done.answers[index].interrupted_at is None and self.done.answers[index].left_in is None:
                     self._give_back(index)
             for event in events.get(slot, ()):
                 self._apply(slot, event)
             while upcoming is not None and upcoming[1][0].slot == slot:
+                if upcoming[1][0].time is not None:
+                    self._let_go(slot, upcoming[1][0].time)
                 self._answer(upcoming[0], *upcoming[1])
                 upcoming = next(requests, None)
             self.done.vm_used.append(tuple(self.in_use["vm", kind] for kind in range(self.kinds)))
             self.done.link_used.append(self.in_use["link", 0])
         self._check_interruptions()
         return self.done
+
+    def _let_go(self, slot: int, time: float) -> None:
+        """Those who leave in ``slot`` by ``time`` leave before what comes then."""
+        for index in self.leaving.get(slot + 1, ()):
+            answer = self.done.answers[index]
+            if answer.left_in is None and answer.interrupted_at is None and answer.request.leaves <= time:
+                answer.left_in = slot
+                self._give_back(index)
 
     def _left(self, resource: Resource, kind: int) -> int:
         """Whole units that are free, 0 if the resource has failed."""

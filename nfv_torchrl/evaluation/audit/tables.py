@@ -61,7 +61,7 @@ def _read(path: Path, columns: tuple[str, ...], names: Key, problems: Problems) 
     """The rows by the cells that name them."""
     rows: dict[Key, dict[str, str]] = {}
     try:
-        for line, cells in read_csv(path, list(columns)):
+        for line, cells in read_csv(path, list(columns))[0]:
             row = dict(zip(columns, cells, strict=False))
             key = tuple(row.get(name, "") for name in names)
             if len(cells) != len(columns) or key in rows:
