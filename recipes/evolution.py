@@ -19,13 +19,10 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import GlobalRNGState
 
-from nfv_torchrl.evaluation.network_figure import draw_utilisation
-from nfv_torchrl.evaluation.records import RunRecord
-from nfv_torchrl.evaluation.runner import run_method
-from nfv_torchrl.evolution import Strategy, Task
+from nfv_torchrl.evolution import Strategy
+from nfv_torchrl.evolution.board import EvolutionBoard
 from nfv_torchrl.evolution.fitness import Arena, summary
 from nfv_torchrl.methods import load_weights, policy_content
-from nfv_torchrl.methods.evolved import Evolvable
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
@@ -78,10 +75,7 @@ def main(cfg: DictConfig) -> None:
         centre = policy.with_vector(strategy.mean)
         (scores,) = arena.scores([centre], held_out, known)
         values = summary(scores)
-        logger.compared("myopic_optimal", {"aar": values["aar"] - values["aar_gain"]}, progress.frames)
-        logger.scalars({f"eval/{name}": value for name, value in values.items()}, progress.frames)
-        if cfg.logger.figures:
-            logger.figure("network/utilisation", draw_utilisation(play(centre, held_out[0])), progress.frames)
+        board.show(centre, values, progress.frames)
         if progress.frames and values["fitness"] > progress.best_fitness:
             progress.best_fitness, progress.best_aar = values["fitness"], values["aar"]
             progress.best_frames = progress.frames
@@ -89,6 +83,9 @@ def main(cfg: DictConfig) -> None:
 
     with arena.workers, StopRequest() as stop:
         known = arena.baselines(held_out) if cfg.eval.interval else []
+        if cfg.eval.interval:
+            with bar.pause():
+                board = EvolutionBoard(logger, config, held_out, known, arena.workers)
         if cfg.eval.interval and not strategy.generation:
             with bar.pause():
                 evaluate()  # where the search begins
@@ -124,12 +121,6 @@ def main(cfg: DictConfig) -> None:
     logger.close()
     print(f"Processor time: {time.process_time():.0f} s")
     folder.print_ending(interrupted=stop.asked)
-
-
-def play(policy: Evolvable, task: Task) -> RunRecord:
-    """The record of a policy on one task, for the picture."""
-    (record,) = run_method(task.scenario, policy.method("policy"), [0], workloads=[task.workload])
-    return record
 
 
 if __name__ == "__main__":

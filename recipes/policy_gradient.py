@@ -2,6 +2,7 @@
 
     python recipes/policy_gradient.py                    # PPO, scenario=paper
     python recipes/policy_gradient.py pg_loss=reinforce scenario=heavy scenario.admission_control=true
+    python recipes/policy_gradient.py collector=multi_sync collector.workers=4
     python recipes/policy_gradient.py env=nfvdeep        # NFVdeep (Xiao et al. 2019): one function a decision
     python recipes/policy_gradient.py run_dir=runs/policy_gradient resume=true
 
@@ -18,14 +19,13 @@ import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import GlobalRNGState
-from torchrl.collectors import Collector
 
 from nfv_torchrl.progress_bar import ProgressBar
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import PolicyGradientSettings, read_settings
 from nfv_torchrl.training.cli import recipe
+from nfv_torchrl.training.collecting import World
 from nfv_torchrl.training.disk import check_room
-from nfv_torchrl.training.env_state import EnvState
 from nfv_torchrl.training.evaluating import evaluate_policy
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
@@ -52,17 +52,10 @@ def main(cfg: DictConfig) -> None:
     decisions = instantiate(cfg.env)
     sizes = decisions.sizes(scenario, one_hot=cfg.one_hot)
     loss = make_loss(cfg.loss, instantiate(cfg.network), sizes).to(device)
-    env = decisions.environment(
-        scenario,
-        cfg.collector.num_envs,
-        loss,
-        reward=instantiate(cfg.reward),
-        one_hot=cfg.one_hot,
-        stagger=cfg.stagger,
-        segment=cfg.segment,
-        seed=cfg.seed,
-        threads=cfg.env_threads,
-    )
+    environment = partial(decisions.environment, loss=loss, reward=instantiate(cfg.reward), one_hot=cfg.one_hot)
+    start = {"stagger": cfg.stagger, "segment": cfg.segment, "seed": cfg.seed, "threads": cfg.env_threads}
+    collector = instantiate(cfg.collector)
+    collector.prepare(World(partial(environment, **start), [scenario], cfg.seed))
     # Made anew for each evaluation: a compiled method keeps the weights that it was made with.
     method = partial(decisions.method, loss, one_hot=cfg.one_hot)
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
@@ -72,24 +65,14 @@ def main(cfg: DictConfig) -> None:
     state = {
         "loss": loss,
         "optimizer": optimizer,
-        "env": EnvState(env),
+        "env": collector,
         "window": window,
         "progress": progress,
         "rng": GlobalRNGState(),
     }
-    # A new environment's first reset starts its horizons, a loaded one's goes on where it was.
+    # Before the collector, whose first reset starts the horizons of a new environment and goes on in a loaded one.
     folder.load(state)
-    collector = Collector(
-        env,
-        loss.actor,
-        frames_per_batch=cfg.collector.num_envs * cfg.collector.steps,
-        total_frames=-1,
-        policy_device=device,
-        env_device="cpu",
-        storing_device="cpu",
-        auto_register_policy_transforms=False,
-        track_traj_ids=False,
-    )
+    batches = collector.start(loss.actor, device)
     iterations = cfg.collector.total_frames // (cfg.collector.num_envs * cfg.collector.steps)
     check_room(folder.path, state, config, iterations=iterations)
     folder.open()  # after all that may be refused: an older run there is set aside
@@ -97,7 +80,6 @@ def main(cfg: DictConfig) -> None:
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
     evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
     bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=1 + evaluations)
-    batches = iter(collector)
     folder.load_random_numbers(state)  # making the parts above drew some
 
     if cfg.eval.interval and not progress.iteration:
@@ -105,7 +87,11 @@ def main(cfg: DictConfig) -> None:
             evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)  # untrained
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:
-            data = next(batches)
+            collector.send_policy()
+            data = next(batches, None)
+            if data is None:  # a worker failed; all else is saved
+                stop.asked = True
+                break
             progress.iteration += 1
             progress.frames += data.numel()
             window.add(data)
@@ -134,8 +120,8 @@ def main(cfg: DictConfig) -> None:
         evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
     folder.save(state, progress.frames)
     logger.close()
-    collector.shutdown()
     folder.print_ending(interrupted=stop.asked)
+    collector.shutdown()  # says what failed
 
 
 if __name__ == "__main__":

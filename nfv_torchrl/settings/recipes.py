@@ -73,15 +73,6 @@ Colocations = Annotated[tuple[bool, ...], Some]
 
 
 @dataclass(frozen=True)
-class Batches:
-    """Environments that act at the same time, and for how long."""
-
-    num_envs: Count
-    steps: Count
-    total_frames: Count
-
-
-@dataclass(frozen=True)
 class Logger:
     """``interval``: iterations or updates from one log line to the next; ``references``: compare with rules."""
 
@@ -215,7 +206,7 @@ class PolicyGradientSettings(Run):
     one_hot: bool
     stagger: bool
     segment: Count | None
-    collector: Batches
+    collector: Collector
     learner: BatchLearner
     logger: Logger
     eval: HeldOut
@@ -307,10 +298,11 @@ class HeldOutTasks:
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """``figures``: draw the network at each evaluation."""
+class Board:
+    """``figures``: draw the network at each evaluation; ``references``: compare with rules."""
 
     figures: bool
+    references: bool
 
 
 @dataclass(frozen=True)
@@ -327,7 +319,7 @@ class EvolutionSettings(Run):
     generation: Generation
     fitness: Fitness
     eval: HeldOutTasks
-    logger: Pictures
+    logger: Board
     saving: Saving
 
 

@@ -74,7 +74,7 @@ def evaluate_policy(
         logger.text("1 what you see", what_you_see(scenario, config, references), frames)
     logger.text("2 how it stands", standing(scores, values, references, frames), frames)
     if config["logger"]["figures"]:
-        _pictures(records, references, logger, frames)
+        draw_pictures(records[0], references, logger, frames)
     if frames:
         _keep_best(loss, scenario, sizes, config, folder, progress, scores)
 
@@ -179,10 +179,10 @@ def _histograms(loss: nn.Module, acting: Method, records: Sequence[RunRecord], l
             logger.histogram(f"gradients/{name}", weights.grad, frames)
 
 
-def _pictures(records: Sequence[RunRecord], references: References | None, logger: RunLogger, frames: int) -> None:
-    """The network, coloured by use, and some walks beside those of the exact search."""
-    logger.figure("network/utilisation", draw_utilisation(records[0], "agent"), frames)
-    record, walks = records[0], {} if references is None else references.walks
+def draw_pictures(record: RunRecord, references: References | None, logger: RunLogger, frames: int) -> None:
+    """Log the network, coloured by use, and some walks of the agent's ``record`` beside those of the exact search."""
+    logger.figure("network/utilisation", draw_utilisation(record, "agent"), frames)
+    walks = {} if references is None else references.walks
     for number, (request, exact) in enumerate(walks.items(), 1):
         service = record.scenario.catalogue.types[int(record.workload.service[request])].name
         both = {"agent": walk_of(record, request), EXACT: exact}

@@ -40,7 +40,7 @@ CURVES = [r"(train|eval)/(aar|anuc|cost_per_accepted|mean_hops)$"]
 SPEED: dict[str, list[str]] = {"frames, updates, requests per second": [r"speed/.*_per_second$"]}
 EVOLVED: Charts = {
     "1 Does it learn, and is it better than the rules?": {
-        "AAR: agent, myopic_optimal": [r"eval/aar$", r"eval/aar_of/"],
+        "AAR: the agent, three rules, the bound": [r"eval/aar$", r"eval/aar_of/"],
         "AAR above that of myopic_optimal": [r"eval/aar_gain$"],
         "paired cost: agent / myopic_optimal": [r"eval/paired_cost$"],
     },

@@ -45,9 +45,20 @@ def what_you_see(scenario: Scenario, config: Mapping[str, Any], references: Refe
         f"load rho is {scenario.offered_load():.2f}: {_load(scenario.offered_load())}.",
         "",
     ]
-    if references is not None:
-        lines += ["## What it is compared with", "", *_table(references), ""]
-    return "\n".join(lines) + HOW_TO_READ
+    return "\n".join([*lines, *_compared(references)]) + HOW_TO_READ
+
+
+def what_evolves(config: Mapping[str, Any], horizons: int, references: References | None) -> str:
+    """The page of an evolution, whose policy is measured on so many held-out horizons (Markdown)."""
+    lines = [
+        "# What you see",
+        "",
+        f"An evolution of `{_name(config['policy'])}`, seed {config['seed']}. A frame is one request answered. The "
+        f"centre of the search is evaluated on {horizons} held-out horizons, each with a network and requests of its "
+        "own or of the scenario, as `tasks` says. Numbers of rules are means over the same horizons.",
+        "",
+    ]
+    return "\n".join([*lines, *_compared(references)]) + HOW_TO_READ
 
 
 def standing(
@@ -77,6 +88,10 @@ def standing(
         worst = max(reasons, key=lambda key: reasons[key])
         said += f"; most of what it rejects it rejects for {worst.partition('/')[2].replace('_', ' ')}"
     return said + "."
+
+
+def _compared(references: References | None) -> list[str]:
+    return [] if references is None else ["## What it is compared with", "", *_table(references), ""]
 
 
 def _table(references: References) -> list[str]:

@@ -21,6 +21,7 @@ TINY = [
     "eval.tasks=2",
     "saving.interval=2",
     "logger.figures=false",
+    "logger.references=false",
 ]
 RANDOM = ["tasks.nodes=[5,7]", "tasks.arrival_rate=[6]", "tasks.horizon=[60]", "tasks.vms_max=[2,2]"]
 FIXED = ["tasks=fixed_network", "policy=candidate", "network.hidden=[4]", "scenario.substrate.nodes=5"]
@@ -60,3 +61,29 @@ def test_it_evolves_resumes_to_the_bit_and_is_evaluated(overrides, tmp_path, cap
     with pytest.raises(SystemExit):
         call("evolution", f"run_dir={started}", *TINY, *overrides, other, f"init_from={folder / 'best.pt'}")
     assert "give the settings of network=" in capsys.readouterr().err
+
+
+def test_its_board_shows_rules_bound_walks_and_words(tmp_path):
+    folder = tmp_path / "run"
+    board = ["logger.figures=true", "logger.references=true", "generations=2", "saving.interval=10"]
+    call("evolution", f"run_dir={folder}", *TINY, *RANDOM, *board)
+    aar = {}
+    for name in ("greedy", "myopic_optimal", "random_feasible", "bound"):
+        events = EventAccumulator(str(folder / name))
+        events.Reload()
+        points = events.Scalars("eval/aar")
+        assert len(points) == 2 and points[0].step == 0
+        aar[name] = points[0].value
+    assert aar["random_feasible"] < aar["myopic_optimal"] <= aar["bound"] <= 1.0
+
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    own, gain = (events.Scalars(tag)[0].value for tag in ("eval/aar", "eval/aar_gain"))
+    assert own - gain == pytest.approx(aar["myopic_optimal"])  # a rule that plays accepts what the fitness says it does
+    assert {"network/utilisation", "walks/1 web"} <= set(events.Tags()["images"])
+    page, standing = (
+        events.Tensors(f"{tag}/text_summary")[0].tensor_proto.string_val[0].decode()
+        for tag in ("1 what you see", "2 how it stands")
+    )
+    assert "An evolution of `PricePolicy`" in page and "`greedy`" in page
+    assert standing.startswith("Untrained, the agent accepts")

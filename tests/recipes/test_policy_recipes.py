@@ -43,6 +43,7 @@ RUNS = {
     "ppo on candidates": ("policy_gradient", ["network=candidate"]),
     "recurrent ppo": ("policy_gradient", ["pg_loss=recurrent_ppo", "network.hidden=8", "learner.minibatch=2", *SHORT]),
     "rdpg": ("dqn", ["preset=rdpg", *BUFFER, "network.hidden=8", "loss.burn_in=2", *SHORT]),
+    "ppo, two workers": ("policy_gradient", ["collector=multi_sync"]),
     "nfvdeep": ("policy_gradient", ["env=nfvdeep"]),
     "gru": ("dqn", ["preset=recurrent", *BUFFER, "loss.burn_in=2"]),
 }
