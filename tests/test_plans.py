@@ -23,11 +23,14 @@ from nfv_torchrl.gym.plans import PlanGymEnv, PlanVectorEnv
 from nfv_torchrl.losses import greedy_actor
 from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.networks import MenuNetwork, MLPNetwork
-from nfv_torchrl.observations.menu import ROW, STATE, MenuShape
+from nfv_torchrl.observations.menu import ROW, ROW_SERVICE, SERVICE, STATE, MenuShape
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
 from nfv_torchrl.rewards import admission_regret
+from nfv_torchrl.search.cheapest import plan_cheapest, plan_within
+from nfv_torchrl.search.walks import Prices
 from nfv_torchrl.simulator import Reason, Simulator
+from nfv_torchrl.simulator.compiled import kernel
 from nfv_torchrl.testing import check_planner
 from nfv_torchrl.testing.worlds import full_scenario
 
@@ -114,6 +117,13 @@ def test_what_is_seen_by_hand():
     )
     # A on 1.0 leaves 30 of 40 Mcycles/s, B on 2.0 leaves 30 of 50.
     assert row[ROW.vm_room] == pytest.approx(np.log(1 + 30 / 25) / 8) == pytest.approx(row[ROW.vm_room_least])
+    # Duos from 0 to 3 may use nodes 1, 2 and 3, where B fits on all VMs: 290 Mcycles/s, of which this walk takes 30.
+    service, left = state[len(STATE) :][SERVICE.close], row[len(ROW) :]
+    close, closer = 1 / (1 + 290 / 30 / 4), 1 / (1 + 260 / 30 / 4)
+    assert service == pytest.approx(close) and left[ROW_SERVICE.room_least] == pytest.approx(np.log(1 + 260 / 30) / 8)
+    assert left[ROW_SERVICE.closer] == pytest.approx(closer - close) == pytest.approx(left[ROW_SERVICE.closer_most])
+    # None of the latest requests is a solo.
+    assert left[len(ROW_SERVICE) :].tolist() == [0.0, 0.0, 0.0, 1.0]
     env.step(TensorDict({"action": torch.tensor([0])}, [1]))
     after = env._observe()["observation"][0]
     row = after[shape.state : shape.state + shape.row]
@@ -144,6 +154,30 @@ def test_every_level_has_the_walk_of_the_rule_at_that_price(seed, colocation):
             elif offered:
                 here = [menu.action[b, j, : menu.steps[b, j]].tolist() for j in offered]
                 assert plans[b, : lengths[b]].tolist() in here
+
+
+def test_a_limit_leaves_the_cheapest_walk_as_it_is():
+    """A search among walks that cost at most what the cheapest costs finds it; just below that there is none."""
+    env = PlanEnv(worlds(), 3, stagger=True, seed=3)
+    env.reset()
+    world, own, found = env.simulator.world, env.menus.own.search, 0
+    plan, limited = np.zeros((2, world.rules.max_steps), np.int64)
+    for b in range(3):
+        unit = Prices(world.tables.vm_unit_cost[b], world.tables.link_unit_cost[b])
+        steps = plan_cheapest(world, b, unit, own, plan)
+        cost = own.result[0]
+        if steps == 0:
+            continue
+        found += 1
+        assert _plan_within(world, b, unit, cost * (1 + 1e-9), own, limited) == steps
+        assert limited[:steps].tolist() == plan[:steps].tolist()
+        assert _plan_within(world, b, unit, cost * (1 - 1e-6), own, limited) == 0
+    assert found
+
+
+@kernel
+def _plan_within(world, b, prices, limit, scratch, plan):
+    return plan_within(world, b, prices, limit, scratch, plan)
 
 
 # ------------------------------------------------------------------------------------------------- environment

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import linear
 
 from nfv_torchrl.networks.base import QNetwork, Sizes
 from nfv_torchrl.networks.layers import perceptron
@@ -72,11 +73,16 @@ class MenuNetwork(QNetwork):
     def forward(self, observation: Tensor) -> Tensor:
         """Values of all walks and of reject, last."""
         state, rows = self._split(observation)
-        factors, seen = state.unsqueeze(-2).split([FACTORS, self.shape.state - FACTORS], -1)
-        price = self.price(torch.cat([seen.expand(*rows.shape[:-1], -1), rows], -1))
+        factors, seen = state.split([FACTORS, self.shape.state - FACTORS], -1)
+        # The first layer sees the state and a walk. What it makes of the state is the same for all walks.
+        first, *later = self.price
+        of_state, of_rows = first.weight.split([seen.shape[-1], rows.shape[-1]], -1)
+        price = linear(seen, of_state, first.bias).unsqueeze(-2) + linear(rows, of_rows)
+        for layer in later:
+            price = layer(price)
         if self.form == "price":
-            price = price * factors.prod(-1, keepdim=True)
-        value = self.value(seen)
+            price = price * factors.prod(-1, keepdim=True).unsqueeze(-1)
+        value = self.value(seen).unsqueeze(-2)
         known = self.w_acc - self.w_cost * rows[..., ROW.regret, None]
         values = torch.cat([known + value - price, value], -2)
         return values.squeeze(-1) if self.outputs == 1 else values

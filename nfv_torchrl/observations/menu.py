@@ -2,7 +2,7 @@
 
 Everything is a share, a ratio or a logarithm, so that one network with shared weights serves networks of any size.
 Means over a whole network hide that all VMs one pair of nodes can reach are full. So the room left is also measured
-where requests come from: for each of the latest requests, what is free on the VMs and links that it could have used.
+where requests come from (``needs.py``): how many more of each of the latest requests fit, now and after each walk.
 Of several kinds of resources the first is described.
 """
 
@@ -14,13 +14,12 @@ import numpy as np
 
 from nfv_torchrl.codec import decode_action
 from nfv_torchrl.columns import columns
+from nfv_torchrl.observations.needs import Needs, closeness, make_needs, measure_needs, taken_units, usable_units
 from nfv_torchrl.planners.menu import LEAST_COST
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.steps import find_link, fits
 from nfv_torchrl.simulator.tables import Tables
 
-PROBES = 64
-"""Latest requests, with the one in hand, that say where room is needed."""
 LONGEST_STAY = 5.0
 """Lifetimes are seen up to this multiple of their mean."""
 AT_ONCE = 0.5
@@ -56,6 +55,7 @@ class ServiceFeatures(NamedTuple):
     vm_room: int  # least room on VMs that a request can reach and that its largest function fits on
     vm_room_mean: int
     link_room: int  # least room on the links of one of its ends
+    close: int  # mean closeness to finding no room: 1 where nothing is left, 1/2 where FEW more requests fit
 
 
 class RowFeatures(NamedTuple):
@@ -79,7 +79,9 @@ class RowServiceFeatures(NamedTuple):
     """Numbers of one walk for each service type."""
 
     closes: int  # share of its load on VMs that it leaves too little of for the largest function of the type
-    scarce: int  # mean, over its VMs, of the least room of a request of the type that can reach the VM
+    closer: int  # by how much it raises the mean closeness to finding no room, see ServiceFeatures
+    closer_most: int  # by how much that of the request that it raises most
+    room_least: int  # room, in requests of the type, that it leaves the one with the least
 
 
 STATE = columns(StateFeatures)
@@ -117,71 +119,31 @@ class MenuView(NamedTuple):
     reference_load: float  # ledger units: mean over services of the load of their chain
     reference_rate: float  # ledger units: mean over services
     rate_units: np.ndarray  # int64 [Q], of the segment with the highest rate
-    chain_units: np.ndarray  # int64 [Q]
-    largest_units: np.ndarray  # int64 [Q], of the largest function
     mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s
     mean_units: np.ndarray  # float64 [S], ledger units of a VM
-    side: np.ndarray  # int16 [S, N, N], by egress and node: which part the node is in when the egress is taken out
-    usable: np.ndarray  # int64 [Q, N], free on VMs of the node that the largest function of a type fits on
+    needs: Needs
     cut: np.ndarray  # int64 [N], free on the links of the node
-    scarce: np.ndarray  # float64 [Q, N], least room of a request of the type that can reach the node
     ends: np.ndarray  # float64 [N], room on the links of the node if one of the latest requests ends there, else 1
-    reached: np.ndarray  # bool [N], nodes that one of the latest requests could use
     place: np.ndarray  # int64 [F, 3], node, VM and ledger units of each function of a walk
-    seen: np.ndarray  # int64 [Q], how many of the latest requests are of each type
-
-
-@kernel
-def _fill_sides(tables, net, side, queue):
-    """Breadth-first search from every node in turn, over the network without one node."""
-    nodes = tables.num_nodes[net]
-    for egress in range(nodes):
-        for node in range(nodes):
-            side[egress, node] = -1
-        for start in range(nodes):
-            if start == egress or side[egress, start] >= 0:
-                continue
-            side[egress, start] = start
-            queue[0] = start
-            head, tail = 0, 1
-            while head < tail:
-                node = queue[head]
-                head += 1
-                for k in range(tables.degree[net, node]):
-                    after = tables.neighbour[net, node, k]
-                    if after != egress and side[egress, after] < 0:
-                        side[egress, after] = start
-                        queue[tail] = after
-                        tail += 1
 
 
 def make_menu_view(tables: Tables) -> MenuView:
     """``MenuView`` for any network and service of ``tables``."""
-    networks, nodes, _, _ = tables.vm_capacity.shape
+    _, nodes, _, _ = tables.vm_capacity.shape
     services, functions = tables.services, tables.load.shape[1]
     counts = np.maximum(tables.vm_count.sum(axis=1), 1)
-    side = np.zeros((networks, nodes, nodes), np.int16)
-    queue = np.zeros(nodes, np.int64)
-    for net in range(networks):
-        _fill_sides(tables, net, side[net], queue)
     chain = tables.load_units[:services, :, 0].sum(axis=1)
     rate = tables.rate_units[:services].max(axis=1)
     return MenuView(
         reference_load=float(chain.mean()),
         reference_rate=float(rate.mean()),
         rate_units=rate,
-        chain_units=chain,
-        largest_units=tables.load_units[:services, :, 0].max(axis=1),
         mean_cost=tables.vm_unit_cost[..., 0].sum(axis=(1, 2)) / counts,
         mean_units=tables.vm_total[:, 0] / counts,
-        side=side,
-        usable=np.zeros((services, nodes), np.int64),
+        needs=make_needs(tables),
         cut=np.zeros(nodes, np.int64),
-        scarce=np.zeros((services, nodes)),
         ends=np.zeros(nodes),
-        reached=np.zeros(nodes, np.bool_),
         place=np.zeros((functions, 3), np.int64),
-        seen=np.zeros(services, np.int64),
     )
 
 
@@ -198,72 +160,36 @@ def _pow8(x):
 
 
 @part
-def _measure_nodes(world, b, own):
-    """Fill ``usable`` and ``cut``; forget what requests needed before."""
-    tables, ledger, net = world.tables, world.ledger, world.env[b].net
+def _measure_cuts(world, b, own):
+    """Fill ``cut``; forget where the requests before ended."""
+    tables, net = world.tables, world.env[b].net
     for node in range(tables.num_nodes[net]):
-        for q in range(own.largest_units.size):
-            own.usable[q, node] = 0
-            own.scarce[q, node] = 1.0
-            for vm in range(tables.vm_count[net, node]):
-                here = ledger.vm_offered[b, node, vm, 0]
-                if fits(here, own.largest_units[q]):
-                    own.usable[q, node] += here
         own.ends[node] = 1.0
         own.cut[node] = 0
         for k in range(tables.degree[net, node]):
-            own.cut[node] += ledger.link_offered[b, tables.neighbour_link[net, node, k]]
+            own.cut[node] += world.ledger.link_offered[b, tables.neighbour_link[net, node, k]]
 
 
 @part
-def _can_reach(world, b, own, request, node):
-    """Whether a request (type, ingress, egress) could place a function on ``node``, were nothing used."""
-    tables, net = world.tables, world.env[b].net
-    service, ingress, egress = request
-    if node == egress:
-        return True
-    if own.side[net, egress, node] != own.side[net, egress, ingress]:
-        return False
-    if node == ingress and not (world.rules.colocation or world.rules.distinct):
-        return False
-    rate = tables.least_rate[service]
-    there = tables.delay_to[net, rate, ingress, node] + tables.delay_to[net, rate, node, egress]
-    return there <= tables.tolerable_delay[service]
-
-
-@part
-def _measure_requests(world, b, own, state):
-    """Fill the columns of each service, ``scarce`` and ``ends``, from the latest requests and the one in hand."""
-    arrivals, e = world.arrivals, world.env[b]
-    nodes = world.tables.num_nodes[e.net]
+def _describe_needs(own, state):
+    """Fill the columns of each service, and ``ends``, from the latest requests."""
+    needs = own.needs
     first = len(STATE)
-    for known in range(own.seen.size):
-        own.seen[known] = 0
-        state[first + known * len(SERVICE) + SERVICE.vm_room] = 1.0
-        state[first + known * len(SERVICE) + SERVICE.vm_room_mean] = 0.0
-        state[first + known * len(SERVICE) + SERVICE.link_room] = 1.0
-    for r in range(max(0, e.cursor + 1 - PROBES), e.cursor + 1):
-        q = np.int64(arrivals.profile[b, r])
-        ingress, egress = np.int64(arrivals.ingress[b, r]), np.int64(arrivals.egress[b, r])
-        request = (q, ingress, egress)
-        free = 0
-        for node in range(nodes):
-            own.reached[node] = _can_reach(world, b, own, request, node)
-            free += own.usable[q, node] * own.reached[node]
-        room = _room(free, own.reference_load)
-        for node in range(nodes):
-            if own.reached[node]:
-                own.scarce[q, node] = min(own.scarce[q, node], room)
+    for q in range(needs.seen.size):
         at = first + q * len(SERVICE)
-        own.seen[q] += 1
+        state[at + SERVICE.vm_room] = 1.0
+        state[at + SERVICE.vm_room_mean] = 0.0 if needs.seen[q] > 0 else 1.0
+        state[at + SERVICE.link_room] = 1.0
+    for i in range(needs.count[0]):
+        q = needs.request[i, 0]
+        at, share = first + q * len(SERVICE), needs.times[i] / needs.seen[q]
+        room = _room(needs.free[i], own.reference_load)
         state[at + SERVICE.vm_room] = min(state[at + SERVICE.vm_room], room)
-        state[at + SERVICE.vm_room_mean] += room
-        for end in (ingress, egress):
+        state[at + SERVICE.vm_room_mean] += share * room
+        state[at + SERVICE.close] += share * closeness(needs, i, needs.free[i])
+        for end in (needs.request[i, 1], needs.request[i, 2]):
             own.ends[end] = _room(own.cut[end], own.reference_rate)
             state[at + SERVICE.link_room] = min(state[at + SERVICE.link_room], own.ends[end])
-    for q in range(own.seen.size):
-        at = first + q * len(SERVICE) + SERVICE.vm_room_mean
-        state[at] = state[at] / own.seen[q] if own.seen[q] > 0 else 1.0
 
 
 @part
@@ -273,7 +199,7 @@ def _describe_state(world, b, own, menu, state):
     net, service = e.net, e.service
     mean = world.mean_lifetime[b]
     stay = AT_ONCE + (1.0 - AT_ONCE) * min(e.lifetime / mean, LONGEST_STAY) if mean > 0.0 else 1.0
-    demand = own.chain_units[service] / own.reference_load
+    demand = own.needs.chain_units[service] / own.reference_load
     used = world.ledger.vm_used[b, 0] / tables.vm_total[net, 0]
     state[STATE.demand] = demand
     state[STATE.stay] = stay
@@ -311,29 +237,47 @@ def _read_places(world, b, own, plan, steps):
 
 @part
 def _describe_vms(world, b, own, placed, row):
-    """The columns of a walk's VMs."""
-    ledger, capacity, services = world.ledger, world.tables.vm_capacity, own.largest_units.size
+    """The columns of a walk's VMs; fills ``needs.drop``, too."""
+    ledger, capacity, needs = world.ledger, world.tables.vm_capacity, own.needs
     net = world.env[b].net
-    chain = own.chain_units[world.env[b].service]
+    chain = needs.chain_units[world.env[b].service]
     row[ROW.vm_room_least] = 1.0
     for i in range(placed):
         node, vm = own.place[i, 0], own.place[i, 1]
         share = own.place[i, 2] / chain
-        left = ledger.vm_offered[b, node, vm, 0]
-        used = 1.0 - left / capacity[net, node, vm, 0]
+        offered = ledger.vm_offered[b, node, vm, 0]
+        used = 1.0 - offered / capacity[net, node, vm, 0]
+        left, first = offered, True
         for j in range(placed):
             if own.place[j, 0] == node and own.place[j, 1] == vm:
                 left -= own.place[j, 2]
+                first = first and j >= i
         row[ROW.vm_used] += share * used
         row[ROW.vm_used_pow16] += share * _pow8(used * used)
         room = _room(max(left, 0), own.reference_load)
         row[ROW.vm_room] += share * room
         row[ROW.vm_room_least] = min(row[ROW.vm_room_least], room)
-        for q in range(services):
-            at = len(ROW) + q * len(ROW_SERVICE)
-            row[at + ROW_SERVICE.scarce] += share * own.scarce[q, node]
-            if not fits(left, own.largest_units[q]):
-                row[at + ROW_SERVICE.closes] += share
+        for q in range(needs.seen.size):
+            if not fits(left, needs.largest_units[q]):
+                row[len(ROW) + q * len(ROW_SERVICE) + ROW_SERVICE.closes] += share
+            needs.drop[q, i] = usable_units(needs, q, offered) - usable_units(needs, q, left) if first else 0
+
+
+@part
+def _describe_what_is_left(own, placed, row):
+    """The columns of a walk for each service: what it leaves the latest requests."""
+    needs = own.needs
+    for q in range(needs.seen.size):
+        row[len(ROW) + q * len(ROW_SERVICE) + ROW_SERVICE.room_least] = 1.0
+    for i in range(needs.count[0]):
+        q = needs.request[i, 0]
+        at = len(ROW) + q * len(ROW_SERVICE)
+        left = needs.free[i] - taken_units(needs, i, own.place, placed)
+        closer = closeness(needs, i, left) - closeness(needs, i, needs.free[i])
+        row[at + ROW_SERVICE.closer] += needs.times[i] / needs.seen[q] * closer
+        row[at + ROW_SERVICE.closer_most] = max(row[at + ROW_SERVICE.closer_most], closer)
+        room = _room(left, needs.chain_units[q])
+        row[at + ROW_SERVICE.room_least] = min(row[at + ROW_SERVICE.room_least], room)
 
 
 @part
@@ -374,7 +318,7 @@ def describe_menu(world, b, own, menu, flat):
         menu: ``Menu``, made of what the world is now.
         flat: receives the numbers, float32 [P] as ``MenuShape`` says; rows that are not offered are zeros.
     """
-    services, levels = own.largest_units.size, menu.steps.shape[1]
+    services, levels = own.needs.seen.size, menu.steps.shape[1]
     size = len(ROW) + services * len(ROW_SERVICE)
     first = len(STATE) + services * len(SERVICE)
     for k in range(flat.size):
@@ -383,8 +327,9 @@ def describe_menu(world, b, own, menu, flat):
     if e.done == 1:
         return
     state = flat[:first]
-    _measure_nodes(world, b, own)
-    _measure_requests(world, b, own, state)
+    _measure_cuts(world, b, own)
+    measure_needs(world, b, own.needs)
+    _describe_needs(own, state)
     _describe_state(world, b, own, menu, state)
     fewest = 0
     for k in range(levels):
@@ -394,6 +339,7 @@ def describe_menu(world, b, own, menu, flat):
         plan, steps = menu.action[b, k], menu.steps[b, k]
         placed = _read_places(world, b, own, plan, steps)
         _describe_vms(world, b, own, placed, row)
+        _describe_what_is_left(own, placed, row)
         hops = _describe_links(world, b, own, plan, steps, row)
         if k == 0:
             fewest = hops

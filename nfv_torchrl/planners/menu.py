@@ -5,7 +5,7 @@ the used share of the resource (the prices of ``priced``). Level 0 has p = 0, so
 
 Few searches make the whole menu. What a walk costs is linear in p, so a walk that is cheapest at two levels is cheapest
 at every level between them: the outer levels are searched first, and those between two different walks only. A
-request without a walk at one level has none at any.
+request without a walk at one level has none at any. And what the walks found cost at a level is a limit for its search.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.priced import PriceRule, fill_prices
-from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
-from nfv_torchrl.search.walks import OVERFLOW, Prices, unit_costs
+from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest, plan_within
+from nfv_torchrl.search.walks import OVERFLOW, Prices, make_problem, unit_costs, walk_totals
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.tables import Rules, Tables
 
@@ -26,6 +26,8 @@ LEVELS = (0.0, 1.0, 4.0, 16.0, 64.0)
 STEEPNESS = 3000.0
 LEAST_COST = 1e-9
 """$, what costs are divided by at least, for networks where something is free."""
+SLACK = 1e-9
+"""Share of a limit, and $, that rounding may take."""
 MADE = 0
 """What ``fill_menu`` returns when it is done."""
 
@@ -48,6 +50,7 @@ class MenuScratch(NamedTuple):
     mean_cost: np.ndarray  # float64 [S], $ per Mcycles/s, of the first kind of resources
     search: Scratch
     risen: Prices  # prices at p = 1
+    rise: np.ndarray  # float64 [K], $, what the walk of each level costs more at p = 1; inf: not searched yet
     waiting: np.ndarray  # int64 [K, 2], pairs of levels with others between them
 
 
@@ -90,6 +93,7 @@ def make_menu_scratch(tables: Tables, level: np.ndarray, steepness: float) -> Me
         mean_cost=tables.vm_unit_cost[..., 0].sum(axis=(1, 2)) / counts,
         search=make_scratch(tables),
         risen=Prices(np.zeros((nodes, vms, kinds)), np.zeros(tables.link_capacity.shape[1])),
+        rise=np.full(len(level), np.inf),
         waiting=np.zeros((len(level) + 1, 2), np.int64),
     )
 
@@ -100,26 +104,61 @@ def grow_menu_scratch(tables: Tables, own: MenuScratch) -> MenuScratch:
 
 
 @part
+def _search_cheapest(world, b, own, menu):
+    """The walk of level 0 into its menu, and the prices of the other levels; its number of steps, or OVERFLOW."""
+    own.rise[:] = np.inf
+    steps = plan_cheapest(world, b, unit_costs(world, b), own.search, menu.action[b, 0])
+    _note(own, menu, b, 0, steps)
+    if steps > 0:
+        fill_prices(world, b, PriceRule(own.mean_cost[world.env[b].net], own.steepness, np.inf), own.risen)
+        risen = walk_totals(make_problem(world, b, own.risen), own.risen, own.search.walk, steps)[0]
+        own.rise[0] = risen - menu.cost[b, 0]
+    return steps
+
+
+@part
 def _search_level(world, b, k, own, menu):
-    """Walk k of environment b into its menu; its number of steps, or OVERFLOW."""
-    unit = unit_costs(world, b)
-    if k == 0:
-        steps = plan_cheapest(world, b, unit, own.search, menu.action[b, k])
-    else:
-        prices = Prices(own.search.vm_price, own.search.link_price)
-        p = own.level[k]
-        for node in range(prices.vm.shape[0]):
-            for vm in range(prices.vm.shape[1]):
-                for kind in range(prices.vm.shape[2]):
-                    here = unit.vm[node, vm, kind]
-                    prices.vm[node, vm, kind] = here + p * (own.risen.vm[node, vm, kind] - here)
-        for link in range(prices.link.size):
-            prices.link[link] = unit.link[link] + p * (own.risen.link[link] - unit.link[link])
-        steps = plan_cheapest(world, b, prices, own.search, menu.action[b, k])
+    """Walk k > 0 of environment b into its menu; its number of steps, or OVERFLOW."""
+    tables, net = world.tables, world.env[b].net
+    unit, p = unit_costs(world, b), own.level[k]
+    prices = Prices(own.search.vm_price, own.search.link_price)
+    for node in range(tables.num_nodes[net]):
+        for vm in range(tables.vm_count[net, node]):
+            for kind in range(prices.vm.shape[2]):
+                here = unit.vm[node, vm, kind]
+                prices.vm[node, vm, kind] = here + p * (own.risen.vm[node, vm, kind] - here)
+    for link in range(tables.num_links[net]):
+        prices.link[link] = unit.link[link] + p * (own.risen.link[link] - unit.link[link])
+    known, least = _best_known(own, menu, b, p)
+    steps = plan_within(world, b, prices, least * (1.0 + SLACK) + SLACK, own.search, menu.action[b, k])
+    if steps == 0:  # none is within the limit but for rounding: the walk that set it is the cheapest
+        steps = menu.steps[b, known]
+        for j in range(steps):
+            menu.action[b, k, j] = menu.action[b, known, j]
+        menu.steps[b, k], menu.cost[b, k], menu.delay[b, k] = steps, menu.cost[b, known], menu.delay[b, known]
+        own.rise[k] = own.rise[known]
+        return steps
+    _note(own, menu, b, k, steps)
+    own.rise[k] = (own.search.result[0] - own.search.result[1]) / p
+    return steps
+
+
+@part
+def _note(own, menu, b, k, steps):
+    """Write what the search found of walk k."""
     menu.steps[b, k] = steps
     menu.cost[b, k] = own.search.result[1]
     menu.delay[b, k] = own.search.result[2]
-    return steps
+
+
+@part
+def _best_known(own, menu, b, p):
+    """Of the walks found so far, the cheapest at price p, and what it costs there ($)."""
+    best, least = 0, np.inf
+    for j in range(own.rise.size):
+        if own.rise[j] < np.inf and menu.cost[b, j] + p * own.rise[j] < least:
+            best, least = j, menu.cost[b, j] + p * own.rise[j]
+    return best, least
 
 
 @part
@@ -182,11 +221,10 @@ def fill_menu(world, b, own, menu):
     menu.mask[b, own.level.size] = True
     if world.env[b].done == 1:
         return MADE
-    steps = _search_level(world, b, 0, own, menu)
+    steps = _search_cheapest(world, b, own, menu)
     if steps == OVERFLOW:
         return OVERFLOW
     if steps > 0 and last > 0:
-        fill_prices(world, b, PriceRule(own.mean_cost[world.env[b].net], own.steepness, np.inf), own.risen)
         if _search_level(world, b, last, own, menu) == OVERFLOW:
             return OVERFLOW
         if _search_between(world, b, own, menu) == OVERFLOW:

@@ -15,7 +15,11 @@ from nfv_torchrl.plans.menus import Menus
 from nfv_torchrl.plans.playing import play_menus
 from nfv_torchrl.rewards import Reward, admission_regret
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.search.loading import Loader
 from nfv_torchrl.simulator.state import World
+
+FULLEST = (0.8, 1.0)
+"""Used share of the VMs above which large requests are refused while a network is loaded: drawn from this range."""
 
 
 class PlanEnv(NFVEnv):
@@ -32,7 +36,8 @@ class PlanEnv(NFVEnv):
             the cheapest walk of the request just answered, NaN if there was none. Its ``step_cost`` is that of all
             steps of the walk, and ``passed`` that of its last.
         observations: further keys to emit; default none.
-        stagger: as for ``NFVEnv``.
+        stagger: as for ``NFVEnv``, but a network is loaded only up to a use that is drawn from ``FULLEST`` each time:
+            a policy that chooses its requests hardly ever meets an over-full one.
         segment: as for ``NFVEnv``.
         seed: as for ``NFVEnv``.
         threads: not used; menus are made by one thread.
@@ -86,6 +91,8 @@ class PlanEnv(NFVEnv):
             seed=seed,
             threads=threads,
         )
+        if stagger:
+            self._loader = Loader(self.simulator, fullest=FULLEST)
 
     @property
     def num_actions(self) -> int:

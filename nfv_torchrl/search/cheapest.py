@@ -101,8 +101,19 @@ def plan_cheapest(world, b, prices, scratch, plan):
     Returns:
         Number of actions, 0 if the request has no feasible walk, OVERFLOW (-1) if the scratch must grow.
     """
+    return plan_within(world, b, prices, np.inf, scratch, plan)
+
+
+@part
+def plan_within(world, b, prices, limit, scratch, plan):
+    """``plan_cheapest`` among the walks whose priced cost ($) is at most ``limit``; 0 also if there is none of them.
+
+    The cost of any walk that is known to be feasible is such a limit. It leaves the cheapest walk as it is, and saves
+    the search the labels that could not become part of it.
+    """
     problem = make_problem(world, b, prices)
     scratch.result[:] = np.inf
+    scratch.labels.limit[0] = limit
     steps = _cheapest_walk(problem, scratch)
     if steps <= 0:
         return steps
@@ -125,6 +136,8 @@ def _cheapest_walk(problem, scratch):
     fill_cost_to_go(problem, scratch.cost)
     start = problem.ingress if problem.ingress >= 0 else best_start(problem, scratch.cost)
     if start < 0 or (problem.ingress >= 0 and scratch.cost.value[0, start] == np.inf):
+        return 0
+    if problem.ingress >= 0 and scratch.cost.value[0, start] > scratch.labels.limit[0]:
         return 0
     steps = _follow(problem, scratch.cost, scratch.walk, start)
     prices = Prices(problem.vm_price, problem.link_price)

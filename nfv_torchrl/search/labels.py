@@ -69,6 +69,7 @@ class Labels(NamedTuple):
     heap_key: np.ndarray  # float64 [P]
     heap_label: np.ndarray  # int64 [P]
     size: np.ndarray  # int64 [2]: labels in the pool, labels in the heap
+    limit: np.ndarray  # float64 [1], $: labels whose walks cost more are not kept; inf: all are
 
 
 def make_critical(shape: tuple[int, int, int], links: int, functions: int, columns: int) -> Critical:
@@ -118,6 +119,7 @@ def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
         heap_key=np.zeros(pool),
         heap_label=np.zeros(pool, np.int64),
         size=np.zeros(2, np.int64),
+        limit=np.full(1, np.inf),
     )
 
 
@@ -319,7 +321,7 @@ def _open(search, parent, node, link, vm):
     if delay > problem.budget or delay + search.delay_to_go[placed, node] > problem.budget + DELAY_TOLERANCE:
         return
     bound = cost + search.cost_to_go[placed, node]
-    if bound == np.inf:
+    if bound == np.inf or bound > labels.limit[0]:
         return
     steps = labels.steps[parent] + 1
     if critical.tracked[1] > 0 and steps + problem.functions - placed > problem.max_steps:

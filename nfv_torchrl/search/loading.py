@@ -8,15 +8,29 @@ from nfv_torchrl.search.cheapest import grow_scratch, make_scratch, plan_cheapes
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW, Prices
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.simulator.compiled import kernel
+from nfv_torchrl.simulator.compiled import kernel, part
 
 PRICE_NOISE = 0.3
 """Standard deviation of the logarithm of the factors on VM and link unit costs."""
 
 
+@part
+def _is_refused(world, b, fullest):
+    """Whether the VMs are fuller than ``fullest`` for a request that takes more than services do on average."""
+    tables, e = world.tables, world.env[b]
+    if world.ledger.vm_used[b, 0] <= fullest * tables.vm_total[e.net, 0]:
+        return False
+    mine = everyone = 0.0
+    for service in range(tables.services):
+        load = tables.load[service, :, 0].sum()
+        everyone += load
+        mine += load if service == e.service else 0.0
+    return mine * tables.services > everyone
+
+
 @kernel
-def forward_planned(world, b, slot, prices, scratch, plan):
-    """Answer requests of environment b by ``plan_cheapest`` until ``slot``.
+def forward_planned(world, b, slot, prices, fullest, scratch, plan):
+    """Answer requests of environment b by ``plan_cheapest`` until ``slot``; see ``Loader`` for ``fullest``.
 
     Returns FINISHED, NO_ROOM if the simulator's pools run low, or OVERFLOW if the scratch must grow.
     """
@@ -24,7 +38,9 @@ def forward_planned(world, b, slot, prices, scratch, plan):
     while e.slot < slot and e.done == 0:
         if not has_room(world, b):
             return NO_ROOM
-        steps = plan_cheapest(world, b, prices, scratch, plan)
+        steps = 0
+        if not _is_refused(world, b, fullest):
+            steps = plan_cheapest(world, b, prices, scratch, plan)
         if steps == OVERFLOW:
             return OVERFLOW
         play_plan(world, b, steps, plan)
@@ -36,10 +52,16 @@ class Loader:
 
     The search accepts nearly whatever fits, so the loads are those that a good method leads to; the noise on the prices
     fills other VMs and links each time.
+
+    Args:
+        simulator: whose environments are loaded.
+        fullest: None, or a range that a used share of the VMs is drawn from each time. Above that share large requests
+            (more load than services have on average) are refused, as a method that chooses its requests does, and no
+            search is made for them.
     """
 
-    def __init__(self, simulator: Simulator) -> None:
-        self.simulator = simulator
+    def __init__(self, simulator: Simulator, fullest: tuple[float, float] | None = None) -> None:
+        self.simulator, self.fullest = simulator, fullest
         self._scratch = make_scratch(simulator.tables)
         self._plan = np.zeros(simulator.world.rules.max_steps, np.int64)
 
@@ -49,8 +71,9 @@ class Loader:
         vm_price = tables.vm_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.vm_unit_cost[net].shape))
         link_price = tables.link_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.link_unit_cost[net].shape))
         prices = Prices(vm_price, link_price)
+        fullest = np.inf if self.fullest is None else rng.uniform(*self.fullest)
         while True:
-            outcome = forward_planned(self.simulator.world, b, slot, prices, self._scratch, self._plan)
+            outcome = forward_planned(self.simulator.world, b, slot, prices, fullest, self._scratch, self._plan)
             if outcome == FINISHED:
                 break
             if outcome == NO_ROOM:
