@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.arrivals import FILE, UNIFORM
 from nfv_torchrl.scenario.kinds import CPU
 from nfv_torchrl.scenario.scenario import Scenario
 
@@ -48,6 +49,10 @@ def world_digests(scenarios: Iterable[Scenario]) -> dict[str, str]:
         if scenario.catalogue.resources != CPU:
             _add(parts["services"], scenario.catalogue.resources)
         _add(parts["endpoints"], scenario.endpoint_pairs)
+        if scenario.arrivals not in (UNIFORM, FILE):
+            _add(parts["workload"], scenario.arrivals)
+            for part in scenario.traffic.arrays() if scenario.arrivals.process == "matrix" else ():
+                _add(parts["workload"], part)
         if scenario.workload_path is not None:
             for name in ("slot", "service", "ingress", "egress", "lifetime"):
                 _add(parts["workload"], getattr(scenario.file_workload, name))

@@ -146,7 +146,7 @@ def lost_service_time(record: RunRecord) -> int:
 
 @metric(TABLE["rac"])
 def rac(record: RunRecord) -> dict[str, float]:
-    return {"": aar(record)} if has_revenue(record) else {}
+    return {"": _share(accepted(record), counted(record))} if has_revenue(record) else {}
 
 
 @metric(TABLE["lrc"])

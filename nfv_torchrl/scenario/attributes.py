@@ -58,7 +58,7 @@ class FileNumbers:
         unused = [f"{name} ({owner}s)" for owner in ("link", "node") for name in self._unused(owner)]
         parts = list(self.file.notes)
         if self.file.demands is not None:
-            parts.append(f"its {len(self.file.demands):,} demands are not used, requests come from the scenario")
+            parts.append(f"its {len(self.file.demands):,} demands are used by arrivals: matrix only")
         if unused:
             by_origin: dict[str, list[str]] = {}
             for key in lacking:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.arrivals import UNIFORM, ArrivalProcess, parse_arrivals
 from nfv_torchrl.scenario.failures import FailureModel
 from nfv_torchrl.scenario.kinds import CPU, Resource, parse_kinds
 from nfv_torchrl.scenario.names import check_name
@@ -89,6 +90,7 @@ class ScenarioConfig:
 
     Attributes:
         horizon: T, slots; null: up to the last request of ``workload.path``.
+        arrivals: name of an arrival process, or a mapping with ``process`` and what it needs.
         pairs_per_service: P, (ingress, egress) pairs of a service type with ``endpoints: catalogue``.
         placement: ``walk``: one function with each arrival at a node; ``colocate``: what ``colocation: true`` says;
             ``distinct``: no two functions of a request on one node; null: as ``colocation`` says.
@@ -102,6 +104,7 @@ class ScenarioConfig:
     horizon: int | None = HORIZON
     warmup: int = 0
     arrival_rate: float = 10.0
+    arrivals: ArrivalProcess = UNIFORM
     mean_lifetime: float = 600.0
     endpoints: str = "catalogue"
     pairs_per_service: int = 10
@@ -133,6 +136,7 @@ def parse_config(config: Mapping[str, Any] | ScenarioConfig) -> ScenarioConfig:
     if not isinstance(config, Mapping):
         raise ScenarioError(f"scenario: is a {type(config).__name__}; a mapping of keys to values was expected")
     values = dict(config)
+    values["arrivals"] = parse_arrivals(values.get("arrivals"), "scenario.arrivals")
     values["resources"] = parse_kinds(values.get("resources"), "scenario.resources")
     if values.get("services") is None:
         values.pop("services", None)

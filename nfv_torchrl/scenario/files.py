@@ -12,6 +12,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.files import read_json
+from nfv_torchrl.scenario.arrivals import FILE, UNIFORM
 from nfv_torchrl.scenario.config import ScenarioConfig, parse_config
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.kinds import CPU, Resource
@@ -34,7 +35,7 @@ PLAIN_KEYS = (
     "observe_lifetime",
     "max_steps",
 )
-NEWER_KEYS: dict[str, Any] = {"placement": None, "resources": None}
+NEWER_KEYS: dict[str, Any] = {"placement": None, "resources": None, "arrivals": None}
 """Keys that a file has where they are not these."""
 OTHER_KEYS = ("method", "seeds", "endpoint_pairs", "workload_path", "vnfs", "services", "failures", "failure_timeline")
 
@@ -67,6 +68,7 @@ def scenario_to_json(
         **{key: getattr(scenario, key) for key in PLAIN_KEYS},
         "endpoint_pairs": None if pairs is None else pairs.tolist(),
         "workload_path": None if scenario.workload_path is None else str(scenario.workload_path),
+        **({} if scenario.arrivals in (UNIFORM, FILE) else {"arrivals": scenario.arrivals.to_config()}),
         **({} if scenario.placement is None else {"placement": scenario.placement}),
         **({} if catalogue.resources == CPU else {"resources": [_shortened(kind) for kind in catalogue.resources]}),
         "vnfs": {name: dict(vnf) if isinstance(vnf, Mapping) else vnf for name, vnf in catalogue.vnfs.items()},
@@ -141,6 +143,7 @@ def _scenario(data: dict[str, Any], substrate: Substrate) -> Scenario:
         catalogue=ServiceCatalogue(tuple(config.services.values()), config.vnfs, config.resources),
         endpoint_pairs=pairs,
         placement=config.placement,
+        arrivals=config.arrivals,
         failures=config.failures,
         **{key: getattr(config, key) for key in PLAIN_KEYS},
     )

@@ -57,8 +57,7 @@ def read_request_set(
                     "scenario.horizon=null for one that ends with the last arrival"
                 )
     demands = [_demand(asked, kinds) for asked in found.requests]
-    time = np.array([asked.time for asked in found.requests])
-    slot, time = slots_of(time)
+    slot, time = slots_of(np.array([asked.time for asked in found.requests]))
     count = len(slot)
     return Columns(
         slot=slot,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.arrivals import UNIFORM, ArrivalProcess, check_rate, parse_arrivals
 from nfv_torchrl.scenario.config import HORIZON, ScenarioConfig, parse_config
 from nfv_torchrl.scenario.failures import FailureModel, FailureTimeline, sample_timeline
 from nfv_torchrl.scenario.limits import (
@@ -34,6 +35,7 @@ from nfv_torchrl.scenario.services import ServiceCatalogue
 from nfv_torchrl.scenario.sources import build_substrate
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.substrate import Substrate
+from nfv_torchrl.scenario.traffic import Traffic, read_traffic
 from nfv_torchrl.scenario.workload import Workload, count_pairs, decode_pairs
 from nfv_torchrl.settings.values import parse, refuse, shown
 
@@ -49,8 +51,11 @@ KINDS: dict[str, Any] = {
 SHORTEST_MEAN, LONGEST_MEAN = 1e-6, 1e12
 """s; mean lifetimes beyond make sums of delays and loads lose digits or overflow."""
 TARGET_RHO_TOLERANCE = 1e-6
-READ_FOR = {"workload_path", "catalogue", "substrate", "horizon", "seed"}
-"""What the reading of a workload file depends on."""
+READ_FOR = {
+    "file_workload": {"workload_path", "catalogue", "substrate", "horizon", "seed"},
+    "traffic": {"arrivals", "substrate"},
+}
+"""What is read from files, and the attributes that it depends on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +69,8 @@ class Scenario:
         catalogue: service types and VNFs.
         horizon: T, slots (s) of one run.
         warmup: first slots that metrics leave out.
-        arrival_rate: lambda, mean number of arrivals per slot; its double is an integer.
+        arrival_rate: lambda, mean number of arrivals per slot; of ``uniform`` arrivals its double is an integer.
+        arrivals: the law of the arrivals, see ``nfv_torchrl.scenario.arrivals``.
         mean_lifetime: mu, s.
         endpoints: ``catalogue``: a request takes one of its type's pairs; ``uniform``: it draws any two nodes.
         endpoint_pairs: (ingress, egress) of P pairs for each of K types, int64 [K, P, 2]; None when ``uniform``.
@@ -100,6 +106,7 @@ class Scenario:
     failures: FailureModel = field(default_factory=FailureModel)
     workload_path: str | None = None
     placement: str | None = None
+    arrivals: ArrivalProcess = UNIFORM
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -114,6 +121,7 @@ class Scenario:
 
     def _check_kinds(self) -> None:
         """Values come from Python too, where no parser has seen them; numbers become Python's own, for JSON."""
+        object.__setattr__(self, "arrivals", parse_arrivals(self.arrivals, "arrivals"))
         for key, part in (("substrate", Substrate), ("catalogue", ServiceCatalogue), ("failures", FailureModel)):
             if not isinstance(getattr(self, key), part):
                 refuse(key, getattr(self, key), f"a {part.__name__}")
@@ -135,16 +143,23 @@ class Scenario:
             raise ScenarioError(
                 f"warmup: {shown(self.warmup)} slots; use 0 or more, below the horizon of {self.horizon}"
             )
-        if not (0.5 <= self.arrival_rate <= MAX_REQUESTS and 2 * self.arrival_rate == int(2 * self.arrival_rate)):
-            raise ScenarioError(
-                f"arrival_rate: {shown(self.arrival_rate)}; arrivals are uniform in 0 .. 2 * arrival_rate, so use a "
-                f"positive multiple of 0.5, at most {MAX_REQUESTS}"
-            )
+        check_rate(self.arrivals, self.arrival_rate, MAX_REQUESTS)
+        self._check_arrivals()
         if not SHORTEST_MEAN <= self.mean_lifetime <= LONGEST_MEAN:
             raise ScenarioError(
                 f"mean_lifetime: {shown(self.mean_lifetime)} s; use a positive number, "
                 f"from {SHORTEST_MEAN:g} to {LONGEST_MEAN:g}"
             )
+
+    def _check_arrivals(self) -> None:
+        """A process goes with where requests come from and where they end."""
+        process = self.arrivals.process
+        if process == "file" and self.workload_path is None:
+            raise ScenarioError("arrivals: file, but workload.path is null; give a file, or another process")
+        if process not in ("uniform", "file") and self.workload_path is not None:
+            raise ScenarioError(f"arrivals: {process}, but requests come from workload.path; keep one of the two")
+        if process == "matrix" and self.endpoints != "uniform":
+            raise ScenarioError("arrivals: matrix draws the ends of requests; set endpoints=uniform")
 
     def _check_placement(self) -> None:
         """``walk`` and ``colocate`` say what ``colocation`` says."""
@@ -277,6 +292,8 @@ class Scenario:
         if requests is not None:
             vars(scenario)["file_workload"] = requests
             _ = scenario.profiles
+        if config.arrivals.process == "matrix":
+            _ = scenario.traffic
         return scenario._scaled_to(config.substrate.target_rho)
 
     def _scaled_to(self, target_rho: float | None) -> Scenario:
@@ -292,8 +309,9 @@ class Scenario:
     def replace(self, **changes: Any) -> Scenario:
         """A copy with some attributes changed (and checked again)."""
         other = dataclasses.replace(self, **changes)
-        if "file_workload" in vars(self) and not changes.keys() & READ_FOR:
-            vars(other)["file_workload"] = self.file_workload  # a folder of a thousand files is read once
+        for name, needs in READ_FOR.items():  # a folder of a thousand files is read once
+            if name in vars(self) and not changes.keys() & needs:
+                vars(other)[name] = vars(self)[name]
         return other
 
     def offered_load(self) -> float:
@@ -328,6 +346,13 @@ class Scenario:
                 "workload.path: is null, so there is no file to read; give a file or folder of requests"
             )
         return Workload.from_file(self.workload_path, self.catalogue, self.substrate, self.horizon, self.seed)
+
+    @cached_property
+    def traffic(self) -> Traffic:
+        """The traffic matrices of ``arrivals``, read once."""
+        if self.arrivals.path is None:
+            raise ScenarioError("arrivals.path: is null, so there are no traffic matrices to read; use arrivals=matrix")
+        return read_traffic(self.arrivals.path, self.substrate, self.arrivals.interval)
 
     def workload(self, seed: int, *key: int) -> Workload:
         """The requests of workload seed ``seed``, always the same; with a workload file those, whatever the seed.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.scenario.arrivals import draw_counts
 from nfv_torchrl.scenario.profiles import Profiles
 from nfv_torchrl.scenario.request_file import Columns, read_columns, write_columns
 from nfv_torchrl.scenario.request_sets import is_request_set, read_request_set
@@ -145,16 +146,19 @@ class Workload:
     def sample(cls, scenario: Scenario, rng: np.random.Generator) -> Workload:
         """Draw the requests of one horizon; may be empty when few are expected.
 
-        Each slot brings an integer number of requests, uniform in {0, .., 2 * arrival_rate}; types follow the mix,
-        lifetimes are exponential. Counts, types, endpoints and lifetimes come from generators of their own, so a
+        Each slot brings a number of requests that the scenario's ``arrivals`` draw; types follow the mix, lifetimes
+        are exponential. Counts, types, endpoints and lifetimes come from generators of their own, so a
         longer horizon continues the same arrivals and another mean lifetime only stretches the same lifetimes.
         """
         counts_rng, service_rng, endpoint_rng, lifetime_rng = _split(rng, 4)
-        counts = counts_rng.integers(0, round(2 * scenario.arrival_rate), size=scenario.horizon, endpoint=True)
+        counts = draw_counts(scenario, counts_rng)
         slot = np.repeat(np.arange(scenario.horizon, dtype=np.int64), counts)
         cumulative = np.cumsum([service.weight for service in scenario.catalogue.types])
         service = np.searchsorted(cumulative / cumulative[-1], service_rng.random(len(slot)), side="right")
-        ingress, egress = _draw_endpoints(scenario, service, endpoint_rng)
+        if scenario.arrivals.process == "matrix":
+            ingress, egress = scenario.traffic.draw_ends(slot, endpoint_rng)
+        else:
+            ingress, egress = _draw_endpoints(scenario, service, endpoint_rng)
         for kind, each in enumerate(scenario.catalogue.types):
             for end, nodes in ((each.ingress, ingress), (each.egress, egress)):
                 if end == ANY:

@@ -25,6 +25,7 @@ from nfv_torchrl.evaluation.walk_figure import Walk, example_requests, walk_of
 from nfv_torchrl.inputs import world_digests
 from nfv_torchrl.methods import Method, PlannerMethod, RandomMethod
 from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner
+from nfv_torchrl.scenario.arrivals import UNIFORM
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.tensor_files import load_file, save_file
 
@@ -136,6 +137,8 @@ def _mean(values: Sequence[float]) -> float:
 def _digest(scenario: Scenario, seeds: Sequence[int]) -> str:
     """What the references depend on."""
     rules = {name: getattr(scenario, name) for name in RULES}
+    if scenario.arrivals != UNIFORM:
+        rules["arrivals"] = scenario.arrivals
     parts = (__version__, rules, world_digests([scenario]), [int(seed) for seed in seeds], np.__version__)
     return hashlib.sha256(repr(parts).encode()).hexdigest()
 

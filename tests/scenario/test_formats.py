@@ -212,7 +212,7 @@ def test_a_damaged_file_is_read_or_refused(name, tmp_path):
 
 def test_networks_of_topohubs_package():
     pytest.importorskip("topohub")
-    with pytest.warns(ScenarioWarning, match=r"^topohub:sndlib/germany50: its 662 demands are not used"):
+    with pytest.warns(ScenarioWarning, match=r"^topohub:sndlib/germany50: its 662 demands are used by arrivals"):
         substrate = read_topology("topohub:sndlib/germany50", 0)
     assert (substrate.num_nodes, substrate.num_links, substrate.labels[0]) == (50, 88, "Aachen")
     assert substrate.link_delay[0] == pytest.approx(61.63 / 200)

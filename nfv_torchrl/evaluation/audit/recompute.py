@@ -85,8 +85,8 @@ def _accepted(decided: Decided) -> int:
 
 
 @recomputes("aar")
-def _aar(decided: Decided) -> float | None:
-    return _share(len(decided.accepted), len(decided.arrived))
+def _aar(decided: Decided) -> Value:
+    return _accepted_share(decided)
 
 
 @recomputes("aar/SERVICE")
@@ -175,7 +175,7 @@ def _lost(decided: Decided) -> int:
 
 @recomputes("rac")
 def _rac(decided: Decided) -> dict[str, float | None]:
-    return {"": _aar(decided)} if decided.files.demands else {}
+    return {"": _accepted_share(decided)} if decided.files.demands else {}
 
 
 @recomputes("lrc")
@@ -198,6 +198,10 @@ def _lar(decided: Decided) -> dict[str, float | None]:
         return {}
     last = decided.files.workload[-1].arrives - decided.files.scenario["warmup"]
     return {"": _earned(decided) / last if last > 0 else None}
+
+
+def _accepted_share(decided: Decided) -> float | None:
+    return _share(len(decided.accepted), len(decided.arrived))
 
 
 def _earned(decided: Decided) -> float:

@@ -94,7 +94,7 @@ def _chain(file: GraphFile) -> tuple[list[int], list[int]]:
     ends = [node for node, links in enumerate(around) if len(links) < 2]
     if not ends:
         raise ScenarioError(f"{file.source}: is no chain, it has no end; {why}")
-    order, taken = [ends[0]], []
+    order, taken = [ends[0]], list[int]()
     while following := [(node, link) for node, link in around[order[-1]] if link not in taken[-1:]]:
         order.append(following[0][0])
         taken.append(following[0][1])
