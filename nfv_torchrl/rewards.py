@@ -9,12 +9,13 @@ does a class, without ``_partial_``: its ``prepare(simulator)``, if it has one, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.menu import LEAST_COST
+from nfv_torchrl.settings.values import OneOf
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.tables import Tables
 
@@ -40,14 +41,35 @@ def prepared(reward: Reward | None, simulator: Simulator) -> Reward:
     return reward
 
 
+ON_REJECTION = ("keep", "forfeit")
+OnRejection = Annotated[str, OneOf(*ON_REJECTION)]
+
+
 def paper(
-    outcome: Mapping[str, np.ndarray], scale: CostScale, *, w_acc: float = 1.0, w_cost: float = 1.0
+    outcome: Mapping[str, np.ndarray],
+    scale: CostScale,
+    *,
+    w_acc: float = 1.0,
+    w_cost: float = 1.0,
+    on_rejection: OnRejection = "keep",
 ) -> np.ndarray:
     """The paper's reward (eq. reward_f): ``w_acc - w_cost * phi~ / phi_ref`` for a step that passes, else 0.
 
-    It is paid per step, so a longer walk earns more, and a rejected walk keeps what its steps earned.
+    It is paid per step, so a longer walk earns more.
+
+    Args:
+        on_rejection: ``keep``: a rejected walk keeps what its steps earned, as the equation has it; ``forfeit``: the
+            step that rejects takes it back, so that a rejected request earns 0 in all (Algorithm 3: r_k <- 0).
+
+    Raises:
+        ScenarioError: ``on_rejection`` is neither.
     """
-    return np.where(outcome["passed"] > 0, w_acc - w_cost * outcome["step_cost"] / scale.step, 0.0)
+    if on_rejection not in ON_REJECTION:
+        raise ScenarioError(f"reward.on_rejection: {on_rejection!r} is unknown; use one of {list(ON_REJECTION)}")
+    earned = np.where(outcome["passed"] > 0, w_acc - w_cost * outcome["step_cost"] / scale.step, 0.0)
+    if on_rejection == "keep":
+        return earned
+    return earned - (w_acc * outcome["lost_steps"] - w_cost * outcome["lost_cost"] / scale.step)
 
 
 def admission(

@@ -87,6 +87,7 @@ class ReferenceSimulator:
         self.vm_reserved = dict.fromkeys(self.vm_capacity, 0)
         self.link_reserved = dict.fromkeys(self.link_capacity, 0)
         self.failed: set = set()  # (node, VM), and links by the names of their directions
+        self.steps_of_service: dict[float, int] = {}  # taken in this slot, where services share J
         self.running: list[Request] = []
         self.interrupted: list[Request] = []
         self.slot = 0
@@ -129,6 +130,7 @@ class ReferenceSimulator:
             self.link_between[u, v], self.link_between[v, u] = (u, v), (v, u) if full else (u, v)
 
     def _read_catalogue(self, catalogue, own) -> None:
+        self.types = catalogue.types
         self.services = [self._read_service(place, kind, catalogue) for place, kind in enumerate(catalogue.types)]
         for row in range(0 if own is None else len(own.service)):
             self.services.append(self._read_profile(own, row))
@@ -136,7 +138,7 @@ class ReferenceSimulator:
         self.delay_to = [self._shortest_delays(service) for service in range(len(self.services))]
 
     def _read_service(self, place: int, kind, catalogue) -> Service:
-        rates = [kind.rate] * (len(kind.chain) + 1) if kind.rates is None else list(kind.rates)
+        rates = [_mean(kind.rate)] * (len(kind.chain) + 1) if kind.rates is None else list(kind.rates)
         loads, load_units, work, own_delay = [], [], [], []
         for name, rate in zip(kind.chain, rates, strict=False):
             needs = catalogue.vnfs[name]
@@ -149,7 +151,7 @@ class ReferenceSimulator:
             derived = "delay" not in needs and catalogue.resources[0].scales_with_rate
             work.append(loads[-1][0] if derived else 0.0)
             own_delay.append(needs.get("delay", 0.0))
-        limit = math.inf if kind.tolerable_delay is None else kind.tolerable_delay
+        limit = math.inf if kind.tolerable_delay is None else _mean(kind.tolerable_delay)
         return Service(place, rates, [units(rate) for rate in rates], loads, load_units, work, own_delay, limit)
 
     def _read_profile(self, own, row: int) -> Service:
@@ -228,6 +230,7 @@ class ReferenceSimulator:
 
     def _open_slot(self) -> None:
         """Departures, then the slot's repairs and failures."""
+        self.steps_of_service = {}
         for request in list(self.running):
             if request.departure <= self.slot:
                 self._release(request)
@@ -305,10 +308,11 @@ class ReferenceSimulator:
         node, vm, place = decode(action, self.vms)
         here = self.current_node
         there = any(machine == (node, vm) for machine in self.machines)
+        place = place and not self._switches()
         # A node without VMs is named with VM 0, by a step that only forwards.
         if not there and (place or vm > 0 or any(machine[0] == node for machine in self.machines)):
             return False
-        if node >= self.nodes or (place and self.function_index == len(self.services[self.request.service].loads)):
+        if node >= self.nodes or (place and self.all_placed()):
             return False
         distinct = self.scenario.placement == "distinct"
         if place and distinct and node in self.stands_on:
@@ -321,9 +325,24 @@ class ReferenceSimulator:
             return False
         return (here, node) in self.link_between
 
+    def all_placed(self) -> bool:
+        """Are all functions of the chain placed?"""
+        return self.function_index == len(self.services[self.request.service].loads)
+
+    def _switches(self) -> bool:
+        """Does an action that places count as one that forwards now (Algorithm 3, the branch after i_f < F_k)?"""
+        return self.all_placed() and self.scenario.placing_after_chain == "forwards"
+
+    def steps_left(self) -> int:
+        """Steps that the walk may take in all: J, less what its service took in this slot where services share J."""
+        if self.scenario.step_budget == "request":
+            return self.scenario.max_steps
+        return self.scenario.max_steps - self.steps_of_service.get(self._service_share(), 0)
+
     def _step_parts(self, action: int):
         """What an action in A_p takes of VMs and of links, by name in whole units; its delay in ms, its cost in $."""
         node, vm, place = decode(action, self.vms)
+        place = place and not self._switches()
         service = self.services[self.request.service]
         place_here = self.function_index
         delay = cost = 0.0
@@ -350,7 +369,7 @@ class ReferenceSimulator:
             return VM_CAPACITY
         if self.elapsed + delay > self.services[self.request.service].tolerable_delay + TOLERANCE_MS:
             return DELAY
-        if self.step_count + 1 > self.scenario.max_steps:
+        if self.step_count + 1 > self.steps_left():
             return STEP_LIMIT
         return None
 
@@ -403,6 +422,8 @@ class ReferenceSimulator:
             "request_cost": request.cost if accepted else 0.0,
             "delay": self.elapsed if accepted else 0.0,
             "hops": self.hops if accepted else 0,
+            "lost_steps": self.step_count if reason is not None else 0,
+            "lost_cost": request.cost if reason is not None else 0.0,
             "slots_closed": [],
         }
         if accepted:
@@ -410,6 +431,8 @@ class ReferenceSimulator:
         if reason is not None:
             self._give_back(request)
         if result["request_done"]:
+            service = self._service_share()
+            self.steps_of_service[service] = self.steps_of_service.get(service, 0) + self.step_count
             self.cursor += 1
             result["slots_closed"] = self._advance()
         result["done"] = self.done
@@ -455,7 +478,10 @@ class ReferenceSimulator:
     # ---- what a method sees ---------------------------------------------------------------------------------------
 
     def observation(self) -> list[float]:
-        """The paper's P_i: used shares of VMs and links, then five numbers about the walk, all in [0, 1]."""
+        """The paper's P_i: used shares of VMs and links, then five numbers about the walk, all in [0, 1].
+
+        Where the service does not tell them, the ends of the request follow.
+        """
         shares = []
         for node in range(self.nodes):
             for vm in range(self.vms):
@@ -469,7 +495,7 @@ class ReferenceSimulator:
             shares.append(used_share(capacity, self.link_available(link)))
         if self.request is None:
             return shares + [0.0] * 5
-        return [
+        numbers = [
             *shares,
             self._service_share(),
             share(-1 if self.current_node is None else self.current_node, self.nodes - 1),
@@ -477,6 +503,10 @@ class ReferenceSimulator:
             share(self.function_index, self.longest_chain),
             share(self.elapsed, self.services[self.request.service].tolerable_delay),
         ]
+        if self.scenario.endpoints == "uniform" or any(kind.ingress or kind.egress for kind in self.types):
+            ends = (self.request.ingress, self.request.egress)
+            numbers += [share(-1 if end is None else end, self.nodes - 1) for end in ends]
+        return numbers
 
     def _service_share(self) -> float:
         """Index of the service among the K services of the scenario, scaled to [0, 1]."""
@@ -491,6 +521,11 @@ class ReferenceSimulator:
         if endpoints not in pairs[kind]:
             return 1.0  # a workload file may hold pairs of its own
         return share(kind * each + pairs[kind].index(endpoints), len(pairs) * each - 1)
+
+
+def _mean(value) -> float:
+    """A number; of an interval, from which requests draw what their own profiles say, the middle."""
+    return sum(value) / 2 if isinstance(value, tuple) else value
 
 
 def used_share(capacity: int, available: int) -> float:

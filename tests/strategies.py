@@ -147,6 +147,8 @@ def scenarios(draw, failures: bool = True, **fixed) -> Scenario:
         "admission_control": draw(st.booleans()),
         "observe_lifetime": draw(st.booleans()),
         "max_steps": draw(st.sampled_from([3, 6, 12, 100])),
+        "step_budget": draw(st.sampled_from(["request", "slot"])),
+        "placing_after_chain": draw(st.sampled_from(["masked", "forwards"])),
         "failures": model,
     }
     return Scenario(substrate=substrate, catalogue=catalogue, **(settings | fixed))

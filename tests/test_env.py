@@ -476,6 +476,14 @@ def test_paper_reward():
     # Beware: the longer walk of the same placement earns more, and a rejected one keeps what its steps earned.
     assert sum(earned(rewards.paper, LONGER)) == pytest.approx(5 - 57 / STEP)
     assert earned(rewards.paper, FAILS) == pytest.approx([1 - 12 / STEP, 0])
+    # Or it forfeits them: in all it has earned nothing. An accepted one is left alone.
+    forfeit = partial(rewards.paper, w_cost=0.5, on_rejection="forfeit")
+    first = 1 - 0.5 * 12 / STEP
+    assert earned(forfeit, FAILS) == pytest.approx([first, -first])
+    assert earned(forfeit, WALK) == pytest.approx(earned(partial(rewards.paper, w_cost=0.5), WALK))
+    assert earned(forfeit, [toy.action(3)]) == [0]
+    with pytest.raises(ScenarioError, match="on_rejection: 'lose' is unknown; use one of"):
+        earned(partial(rewards.paper, on_rejection="lose"), WALK)
 
 
 def test_admission_reward():

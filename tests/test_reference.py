@@ -117,6 +117,8 @@ def test_cheapest_duo():
         "request_cost": pytest.approx(cost),
         "delay": pytest.approx(delay),
         "hops": 3,
+        "lost_steps": 0,
+        "lost_cost": 0,
         "slots_closed": [],
         "done": False,
     }

@@ -82,7 +82,7 @@ def blind_bound(
         scenario: as for ``hindsight_bound``.
         workload: all requests.
         failures: as for ``hindsight_bound``.
-        mean_lifetime: s; the scenario's by default.
+        mean_lifetime: s; the scenario's, and those of its services, by default.
 
     Raises:
         ScenarioError: the workload comes from a file, so its law of lifetimes is unknown, and ``mean_lifetime`` was
@@ -115,15 +115,16 @@ def lifetime_luck(
     return relaxation.luck(workload, np.asarray(accepted, dtype=bool))
 
 
-def _known_mean(scenario: Scenario, mean_lifetime: float | None) -> float:
+def _known_mean(scenario: Scenario, mean_lifetime: float | None) -> np.ndarray:
+    """Mean lifetime of each service, s, float64 [K]."""
     if mean_lifetime is not None:
-        return mean_lifetime
+        return np.full(len(scenario.catalogue.types), mean_lifetime)
     if scenario.workload_path is not None:
         raise ScenarioError(
             f"{scenario.workload_path}: the lifetime-blind bound needs the law of the lifetimes; "
             "pass mean_lifetime if they are exponential, or use the hindsight bound"
         )
-    return scenario.mean_lifetime
+    return scenario.mean_lifetimes
 
 
 def hindsight_least_cost(
@@ -151,7 +152,7 @@ class _Relaxation:
         scenario: Scenario,
         workload: Workload,
         failures: FailureTimeline | None,
-        mean_lifetime: float | None = None,
+        mean_lifetimes: np.ndarray | None = None,
     ) -> None:
         if failures is None and not scenario.failures.off:
             raise ScenarioError("the scenario has failures: pass the run's failure timeline to the bound")
@@ -164,7 +165,13 @@ class _Relaxation:
         possible = self._possible()[kind]
         self.rows = np.flatnonzero(counts)[possible]  # requests of the workload that are in the programme
         self.kind, self.slot = kind[possible], workload.slot[self.rows]
-        self.until, self.keep = self._stays(_surely_there(workload)[self.rows], mean_lifetime)
+        means = np.zeros(1) if mean_lifetimes is None else np.unique(mean_lifetimes)
+        service = workload.service[self.rows]
+        of_service = np.zeros(self.rows.size) if mean_lifetimes is None else mean_lifetimes[service]
+        self.law = np.searchsorted(means, of_service)  # of each request, int64 [R]
+        self.until, self.keep = self._stays(
+            _surely_there(workload)[self.rows], None if mean_lifetimes is None else means
+        )
         self.active: list[int] = []  # rows of self.cuts in the programme
         self.fraction = np.zeros(self.kind.size)  # of each request, at the optimum
         profiles = scenario.profiles
@@ -189,18 +196,18 @@ class _Relaxation:
             possible[mine] = delay <= tolerable + DELAY_TOLERANCE + 1e-6
         return possible
 
-    def _stays(self, departure: np.ndarray, mean_lifetime: float | None) -> tuple[np.ndarray, np.ndarray]:
-        """First slot without each request, int64 [R], and the share that stays from slot to slot, float64 [T].
+    def _stays(self, departure: np.ndarray, means: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """First slot without each request, int64 [R], and the share that stays from slot to slot, float64 [M, T].
 
         A failure may interrupt anyone, so nobody is counted on from the first failure after the arrival.
         """
         horizon = self.scenario.horizon
         events = np.unique(self.failures.slot[~self.failures.up])
-        if mean_lifetime is None:
+        if means is None:
             following = np.r_[events, horizon][np.searchsorted(events, self.slot, side="right")]
-            return np.minimum(departure, np.minimum(following, horizon)), np.ones(horizon)
-        keep = np.full(horizon, math.exp(-1.0 / mean_lifetime))
-        keep[events] = 0.0
+            return np.minimum(departure, np.minimum(following, horizon)), np.ones((1, horizon))
+        keep = np.repeat([[math.exp(-1.0 / mean)] for mean in means.tolist()], horizon, axis=1)
+        keep[:, events] = 0.0
         return np.full(self.slot.size, horizon), keep
 
     def _place_cuts(self) -> None:
@@ -271,10 +278,10 @@ class _Relaxation:
         """Groups of requests alike to the programme, capacity float64 [K, T], and each request's group."""
         demand = self._demand(len(self.active))
         looks, look_of = np.unique(np.vstack([demand, value]), axis=1, return_inverse=True)
-        keys = np.stack([look_of.ravel()[self.kind], self.slot, self.until])
+        keys = np.stack([look_of.ravel()[self.kind], self.slot, self.until, self.law])
         groups, column_of, count = np.unique(keys, axis=1, return_inverse=True, return_counts=True)
         look = looks[:, groups[0]]
-        columns = Columns(groups[1], groups[2], count.astype(np.float64), look[:-1], look[-1])
+        columns = Columns(groups[1], groups[2], count.astype(np.float64), look[:-1], look[-1], groups[3])
         return columns, np.vstack([self.pools, self.cut_capacity[self.active]]), column_of.ravel()
 
     def _demand(self, cuts: int) -> np.ndarray:
@@ -286,21 +293,22 @@ class _Relaxation:
         """Expected less actual price of the stays of the accepted requests, at the prices that prove the bound."""
         prices = self.solve().prices
         until, _ = self._stays(_surely_there(workload)[self.rows], None)
-        spared = expected_price(prices, self.keep)[:, self.slot] - price_of_stay(prices, self.slot, until)
+        ahead = np.stack([expected_price(prices, keep) for keep in self.keep])  # [M, K, T]
+        spared = ahead[self.law, :, self.slot].T - price_of_stay(prices, self.slot, until)
         demand = self._demand(len(prices) - len(self.class_load))[:, self.kind]
         return float((demand * spared).sum(axis=0)[accepted[self.rows]].sum())
 
     def _activate_violated(self) -> bool:
         """Add the cuts that the present solution exceeds by most; False if there is none."""
         horizon = self.scenario.horizon
-        flow = np.zeros((self.pairs.shape[1], horizon))  # Mbit/s between each pair's ends
+        flow = np.zeros((len(self.keep), self.pairs.shape[1], horizon))  # by law, Mbit/s between each pair's ends
         pair, amount = self.class_pair[self.kind], self.fraction * self.class_rate[self.kind]
-        np.add.at(flow, (pair, self.slot), amount)
+        np.add.at(flow, (self.law, pair, self.slot), amount)
         leaves = self.until < horizon
-        np.add.at(flow, (pair[leaves], self.until[leaves]), -amount[leaves])
+        np.add.at(flow, (self.law[leaves], pair[leaves], self.until[leaves]), -amount[leaves])
         for t in range(1, horizon):
-            flow[:, t] += self.keep[t] * flow[:, t - 1]
-        used = self.crosses.astype(np.float64) @ flow
+            flow[:, :, t] += self.keep[:, t, None] * flow[:, :, t - 1]
+        used = self.crosses.astype(np.float64) @ flow.sum(axis=0)
         excess = (used - self.cut_capacity).max(axis=1) / np.maximum(self.cut_capacity.max(axis=1), 1e-9)
         worst = [int(row) for row in np.argsort(-excess) if excess[row] > VIOLATION and int(row) not in self.active]
         self.active += worst[:CUTS_PER_ROUND]

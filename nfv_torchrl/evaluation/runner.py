@@ -155,6 +155,9 @@ def _record(
     offsets = log.start[b, : requests + 1].copy()
     _, nodes, vms, _ = simulator.tables.vm_capacity.shape
     node, vm, function = _steps(log.action[b, : offsets[-1]], offsets, nodes, vms)
+    if simulator.world.rules.switches:
+        chain = simulator.tables.chain_length[workload.profile]
+        function[function >= np.repeat(chain, np.diff(offsets))] = FORWARD
     reason = log.reason[b, :requests].copy()
     return RunRecord(
         method=name,

@@ -16,7 +16,16 @@ from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step
 from nfv_torchrl.simulator.slots import used_vm_share
-from nfv_torchrl.simulator.steps import Step, find_link, hop_delay, link_cost, place_delay, step_cost, vm_cost
+from nfv_torchrl.simulator.steps import (
+    Step,
+    counts_as_switch,
+    find_link,
+    hop_delay,
+    link_cost,
+    place_delay,
+    step_cost,
+    vm_cost,
+)
 from nfv_torchrl.simulator.tables import Rules, Tables
 
 
@@ -216,6 +225,7 @@ def _write_step(world, b, costs, action, row):
     vms = ledger.vm_offered.shape[2]
     net, profile = e.net, e.profile
     node, vm, place = decode_action(action, vms)
+    place = place and not counts_as_switch(tables, world.rules, e)
     link = np.int64(-1) if node == e.node or e.node < 0 else find_link(tables, net, e.node, node)
     step = Step(link, node, vm, place)
     elapsed = e.elapsed

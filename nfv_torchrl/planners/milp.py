@@ -74,6 +74,8 @@ def embed_slot(world: World, b: int, requests: Sequence[Request], form: Form = "
     """
     if not requests:
         return []
+    if world.rules.shared_steps and len(requests) > 1:
+        raise ScenarioError("milp: requests of a slot are planned together with step_budget=request only")
     programme = _Programme(world, b, requests, form)
     # A single request needs no count first: it is accepted or the programme is infeasible.
     return programme.cheapest(1 if len(requests) == 1 else programme.most_accepted())
@@ -89,6 +91,7 @@ class _Programme:
     def __init__(self, world: World, b: int, requests: Sequence[Request], form: Form) -> None:
         tables, ledger = world.tables, world.ledger
         self.tables, self.rules, self.form = tables, world.rules, form
+        self.most_steps = float(world.env["most_steps"][b] if self.rules.shared_steps else self.rules.max_steps)
         self.requests = list(requests)
         self.graphs = [layered_graph(world, b, request, form) for request in requests]
         sizes = [graph.tail.size for graph in self.graphs]
@@ -211,7 +214,7 @@ class _Programme:
             out.append(self._sums([graph.delay for graph in self.graphs], self.budgets))
         if self.form == "walk":
             steps = [graph.steps.astype(np.float64) for graph in self.graphs]
-            out.append(self._sums(steps, np.full(len(self.graphs), float(self.rules.max_steps))))
+            out.append(self._sums(steps, np.full(len(self.graphs), self.most_steps)))
         return out
 
     def _sums(self, weights: list[np.ndarray], limits: np.ndarray) -> LinearConstraint:

@@ -94,6 +94,9 @@ class ScenarioConfig:
         pairs_per_service: P, (ingress, egress) pairs of a service type with ``endpoints: catalogue``.
         placement: ``walk``: one function with each arrival at a node; ``colocate``: what ``colocation: true`` says;
             ``distinct``: no two functions of a request on one node; null: as ``colocation`` says.
+        step_budget: ``request``: J steps for each; ``slot``: for all of a service's requests in a slot.
+        placing_after_chain: what an action that places is once all functions are placed: ``masked``: left out;
+            ``forwards``: counted as one that forwards.
         resources: kinds of resources by name, see ``nfv_torchrl.scenario.kinds.Resource``; null: cpu alone.
         vnfs: processing requirement d of each VNF, cycles/bit; or a mapping from kinds of resources to requirements.
         services: service types by name.
@@ -114,6 +117,8 @@ class ScenarioConfig:
     admission_control: bool = False
     observe_lifetime: bool = False
     max_steps: int = 100
+    step_budget: str = "request"
+    placing_after_chain: str = "masked"
     substrate: SubstrateConfig = field(default_factory=SubstrateConfig)
     resources: tuple[Resource, ...] = CPU
     vnfs: dict[str, float | dict[str, float]] = field(default_factory=lambda: dict(PAPER_VNFS))

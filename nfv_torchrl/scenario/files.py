@@ -35,7 +35,8 @@ PLAIN_KEYS = (
     "observe_lifetime",
     "max_steps",
 )
-NEWER_KEYS: dict[str, Any] = {"placement": None, "resources": None, "arrivals": None}
+NEWER_PLAIN_KEYS: dict[str, Any] = {"placement": None, "step_budget": "request", "placing_after_chain": "masked"}
+NEWER_KEYS: dict[str, Any] = {**NEWER_PLAIN_KEYS, "resources": None, "arrivals": None}
 """Keys that a file has where they are not these."""
 OTHER_KEYS = ("method", "seeds", "endpoint_pairs", "workload_path", "vnfs", "services", "failures", "failure_timeline")
 
@@ -69,7 +70,7 @@ def scenario_to_json(
         "endpoint_pairs": None if pairs is None else pairs.tolist(),
         "workload_path": None if scenario.workload_path is None else str(scenario.workload_path),
         **({} if scenario.arrivals in (UNIFORM, FILE) else {"arrivals": scenario.arrivals.to_config()}),
-        **({} if scenario.placement is None else {"placement": scenario.placement}),
+        **{key: getattr(scenario, key) for key, usual in NEWER_PLAIN_KEYS.items() if getattr(scenario, key) != usual},
         **({} if catalogue.resources == CPU else {"resources": [_shortened(kind) for kind in catalogue.resources]}),
         "vnfs": {name: dict(vnf) if isinstance(vnf, Mapping) else vnf for name, vnf in catalogue.vnfs.items()},
         "services": [{**_shortened(service), "chain": list(service.chain)} for service in catalogue.types],
@@ -80,7 +81,7 @@ def scenario_to_json(
 
 def _shortened(part: ServiceType | Resource) -> dict[str, Any]:
     """Its attributes without those of the general model that are left as they are by default."""
-    newer = ("rates", "ingress", "egress", "vm_capacity", "vm_unit_cost")
+    newer = ("rates", "ingress", "egress", "mean_lifetime", "vm_capacity", "vm_unit_cost")
     values = dataclasses.asdict(part)
     return {key: value for key, value in values.items() if key not in newer or value is not None}
 
@@ -142,8 +143,8 @@ def _scenario(data: dict[str, Any], substrate: Substrate) -> Scenario:
         substrate=substrate,
         catalogue=ServiceCatalogue(tuple(config.services.values()), config.vnfs, config.resources),
         endpoint_pairs=pairs,
-        placement=config.placement,
         arrivals=config.arrivals,
+        **{key: getattr(config, key) for key in NEWER_PLAIN_KEYS},
         failures=config.failures,
         **{key: getattr(config, key) for key in PLAIN_KEYS},
     )

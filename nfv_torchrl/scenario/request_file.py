@@ -187,6 +187,12 @@ class _RowParser:
 
     def _profile(self, service: int, text: str, where: str) -> tuple[int, int]:
         """Number and functions of the profile of a row whose ``demand`` is ``text``."""
+        if not text and self.catalogue.types[service].is_drawn:
+            name = shown(self.catalogue.names[service])
+            raise ScenarioError(
+                f"{where}: requests of {name} draw what they ask for, so a file has to say it; give a demand, or "
+                "services.NAME.rate and tolerable_delay one number each"
+            )
         if not text:
             return service, len(self.catalogue.types[service].chain)
         if (service, text) not in self.demands:

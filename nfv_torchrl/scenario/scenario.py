@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -31,7 +31,7 @@ from nfv_torchrl.scenario.limits import (
 )
 from nfv_torchrl.scenario.profiles import Profiles, join_profiles
 from nfv_torchrl.scenario.resources import draw_further_kinds
-from nfv_torchrl.scenario.services import ServiceCatalogue
+from nfv_torchrl.scenario.services import LONGEST_MEAN, SHORTEST_MEAN, ServiceCatalogue
 from nfv_torchrl.scenario.sources import build_substrate
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.substrate import Substrate
@@ -41,15 +41,15 @@ from nfv_torchrl.settings.values import parse, refuse, shown
 
 ENDPOINTS = ("catalogue", "uniform")
 MASKS = ("adjacency", "feasible")
+STEP_BUDGETS = ("request", "slot")
+PLACING_AFTER_CHAIN = ("masked", "forwards")
 PLACEMENTS = ("walk", "colocate", "distinct")
 KINDS: dict[str, Any] = {
-    **dict.fromkeys(("name", "endpoints", "mask"), str),
+    **dict.fromkeys(("name", "endpoints", "mask", "step_budget", "placing_after_chain"), str),
     **dict.fromkeys(("horizon", "warmup", "max_steps"), int),
     **dict.fromkeys(("colocation", "admission_control", "observe_lifetime"), bool),
     **dict.fromkeys(("workload_path", "placement"), str | None),
 }
-SHORTEST_MEAN, LONGEST_MEAN = 1e-6, 1e12
-"""s; mean lifetimes beyond make sums of delays and loads lose digits or overflow."""
 TARGET_RHO_TOLERANCE = 1e-6
 READ_FOR = {
     "file_workload": {"workload_path", "catalogue", "substrate", "horizon", "seed"},
@@ -71,7 +71,7 @@ class Scenario:
         warmup: first slots that metrics leave out.
         arrival_rate: lambda, mean number of arrivals per slot; of ``uniform`` arrivals its double is an integer.
         arrivals: the law of the arrivals, see ``nfv_torchrl.scenario.arrivals``.
-        mean_lifetime: mu, s.
+        mean_lifetime: mu, s, of the services that have none of their own.
         endpoints: ``catalogue``: a request takes one of its type's pairs; ``uniform``: it draws any two nodes.
         endpoint_pairs: (ingress, egress) of P pairs for each of K types, int64 [K, P, 2]; None when ``uniform``.
         colocation: a function may also go to a VM of the current node.
@@ -81,6 +81,11 @@ class Scenario:
         admission_control: the policy may always reject.
         observe_lifetime: policies and planners see a request's lifetime.
         max_steps: J, steps a request's walk may take.
+        step_budget: ``request``: every request has J steps; ``slot``: the requests of one service in a slot share J (a
+            service is what the observation tells as one: a type with a pair of endpoints, or a type where these are
+            ``uniform``). A rejected request has used the steps that it passed.
+        placing_after_chain: what an action that places is once all functions are placed: ``masked``: not among the
+            possible actions; ``forwards``: as possible as one that forwards, and counted as such (Algorithm 3).
         failures: probabilities of failures and repairs.
         workload_path: file or folder of requests that replaces the sampled workloads, or None.
 
@@ -107,12 +112,19 @@ class Scenario:
     workload_path: str | None = None
     placement: str | None = None
     arrivals: ArrivalProcess = UNIFORM
+    step_budget: str = ScenarioConfig.step_budget
+    placing_after_chain: str = ScenarioConfig.placing_after_chain
 
     def __post_init__(self) -> None:
         self._check_kinds()
         self._check_placement()
         self._check_numbers()
-        for key, known in (("endpoints", ENDPOINTS), ("mask", MASKS)):
+        for key, known in (
+            ("endpoints", ENDPOINTS),
+            ("mask", MASKS),
+            ("step_budget", STEP_BUDGETS),
+            ("placing_after_chain", PLACING_AFTER_CHAIN),
+        ):
             if getattr(self, key) not in known:
                 raise ScenarioError(f"{key}: {shown(getattr(self, key))} is unknown; use one of {list(known)}")
         self._check_pairs()
@@ -209,11 +221,13 @@ class Scenario:
             nodes=self.substrate.num_nodes,
             vms=self.substrate.max_vms,
             links=self.substrate.num_links * (2 if self.substrate.full_duplex else 1),
-            services=len(self.catalogue.types) if from_file is None else len(self.profiles),
+            services=len(self.catalogue.types) + len(self.catalogue.drawn or ())
+            if from_file is None
+            else len(self.profiles),
             functions=int(self.profiles.amount.shape[1]) if from_file is not None else self._longest_chain,
             horizon=self.horizon,
             requests=requests,
-            running=min(requests, requests * self.mean_lifetime / self.horizon, room),
+            running=min(requests, requests * self.longest_mean / self.horizon, room),
             max_steps=self.max_steps,
             events=self.failures.expected_events(self.substrate, self.horizon),
             kinds=len(self.substrate.resources),
@@ -226,7 +240,26 @@ class Scenario:
 
     @property
     def _different_rates(self) -> int:
-        return len({rate for service in self.catalogue.types for rate in service.segment_rates})
+        types = self.catalogue.types
+        return len({rate for each in types for rate in (*each.segment_rates, *each.drawn_values[0].tolist())})
+
+    @property
+    def mean_lifetimes(self) -> np.ndarray:
+        """Mean lifetime of each service, s, float64 [K]."""
+        own = [service.mean_lifetime for service in self.catalogue.types]
+        return np.array([self.mean_lifetime if mean is None else mean for mean in own], np.float64)
+
+    @property
+    def longest_mean(self) -> float:
+        """The longest of the services' mean lifetimes, s."""
+        return float(self.mean_lifetimes.max())
+
+    @property
+    def usual_lifetime(self) -> float:
+        """Mean lifetime over the mix of services, s."""
+        if all(service.mean_lifetime is None for service in self.catalogue.types):
+            return float(self.mean_lifetime)
+        return float(self.catalogue.mix @ self.mean_lifetimes)
 
     @property
     def placement_rule(self) -> str:
@@ -240,16 +273,29 @@ class Scenario:
             return self.file_workload.free_ends
         return any(service.free_ends for service in self.catalogue.types)
 
+    @property
+    def open_pairs(self) -> bool:
+        """Whether requests come on other ends than the pairs of the catalogue: their service does not tell these."""
+        if self.endpoint_pairs is None or self.free_ends:
+            return True
+        return self.workload_path is not None and not self._all_on_pairs(self.file_workload)
+
+    def _all_on_pairs(self, workload: Workload) -> bool:
+        """Whether every request is on one of the pairs of its service."""
+        assert self.endpoint_pairs is not None
+        ends = np.stack([workload.ingress, workload.egress], axis=1)
+        return bool((self.endpoint_pairs[workload.service] == ends[:, None]).all(axis=2).any(axis=1).all())
+
     @cached_property
     def profiles(self) -> Profiles:
-        """What requests may ask for: the services of the catalogue, then the profiles of a workload file of its own."""
-        own = None if self.workload_path is None else self.file_workload.own
+        """What requests may ask for: the services of the catalogue; then what they draw, or what a file brings."""
+        own = self.catalogue.drawn if self.workload_path is None else self.file_workload.own
         if own is None:
             return self.catalogue.profiles
         if not self.failures.off and own.asks_for_nothing():
             raise ScenarioError(
-                f"{self.workload_path}: a function or segment takes nothing, so what has failed could serve it; give "
-                "it an amount or switch failures off"
+                f"{self.workload_path or 'services'}: a function or segment takes nothing, so what has failed could "
+                "serve it; give it an amount or switch failures off"
             )
         return join_profiles([self.catalogue.profiles, own])
 
@@ -329,10 +375,22 @@ class Scenario:
             loads = tuple(
                 self.profiles.amount[:, :, kind].sum(axis=1)[requests.profile].mean() for kind in range(len(loads))
             )
+        elif self.longest_mean != self.mean_lifetime or self.mean_lifetimes.min() != self.mean_lifetime:
+            return self._load_of_lifetimes()
         running = rate * lifetime * -math.expm1(-self.horizon / lifetime)
+        return self._over_installed([running * float(load) for load in loads])
+
+    def _load_of_lifetimes(self) -> float:
+        """The offered load where services have mean lifetimes of their own: the sum of what each of them brings."""
+        means = self.mean_lifetimes
+        running = self.arrival_rate * self.catalogue.mix * means * -np.expm1(-self.horizon / means)
+        return self._over_installed((running @ self.catalogue.profiles.total).tolist())
+
+    def _over_installed(self, loads: Sequence[float]) -> float:
+        """The highest share that a load of some kind, Mcycles/s or units, is of what all VMs offer."""
         extra = self.substrate.extra_capacity
         installed = self.substrate.total_vm_capacity, *([] if extra is None else extra.sum(axis=(0, 1)).tolist())
-        return max(running * float(load) / there for load, there in zip(loads, installed, strict=True))
+        return max(load / there for load, there in zip(loads, installed, strict=True))
 
     def _mean_extra_loads(self) -> list[float]:
         """Load of a whole chain on each further kind, averaged over the mix."""

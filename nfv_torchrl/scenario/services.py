@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,6 +13,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.kinds import CPU, DELAY, Resource, check_kinds
 from nfv_torchrl.scenario.names import check_name
 from nfv_torchrl.scenario.profiles import Profiles
+from nfv_torchrl.scenario.ranges import LARGEST, check_range, is_range, middle, values_of
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 from nfv_torchrl.settings.values import parse
 
@@ -20,8 +21,8 @@ PAPER_VNFS: dict[str, float] = {"NAT": 0.092, "FW": 0.09, "TM": 1.33, "VOC": 0.5
 """Processing requirement d of each VNF in cycles/bit: 100 times the per-user CPU shares of Savi et al., the source of
 the paper's service table."""
 
-LARGEST = 1e30
-"""Bound of delays and weights: beyond it sums and 32-bit numbers of observations overflow."""
+SHORTEST_MEAN, LONGEST_MEAN = 1e-6, 1e12
+"""s; mean lifetimes beyond make sums of delays and loads lose digits or overflow."""
 MOST_SERVICES = 1000
 ANY = "any"
 """In place of an ingress or egress: it is free, the first or last function may stand on any node."""
@@ -38,13 +39,14 @@ class ServiceType:
     Attributes:
         name: what files and tables call it.
         chain: VNF names in the order in which traffic passes them, repeats allowed; none: requests are only routed.
-        rate: data rate B, Mbit/s.
-        tolerable_delay: tau, ms; None: any delay will do.
+        rate: data rate B, Mbit/s; or [low, high], from which every request draws its own (see ``scenario/ranges.py``).
+        tolerable_delay: tau, ms; None: any delay will do; or [low, high], likewise.
         weight: share of the mix, relative to the other types; 0 never arrives.
         rates: data rate of each segment instead of one for all, F + 1 of them: from the ingress to the first function,
             between functions, and from the last one to the egress.
         ingress: ``any``: the first function may stand on any node, and the walk begins there.
         egress: ``any``: the walk ends with the last function.
+        mean_lifetime: s, of the requests of this type; None: the scenario's.
 
     Raises:
         ScenarioError: a value is out of range.
@@ -52,12 +54,13 @@ class ServiceType:
 
     name: str
     chain: tuple[str, ...]
-    rate: float
-    tolerable_delay: float | None
+    rate: float | tuple[float, float]
+    tolerable_delay: float | tuple[float, float] | None
     weight: float = 1.0
     rates: tuple[float, ...] | None = field(default=None, repr=False)
     ingress: str | None = field(default=None, repr=False)
     egress: str | None = field(default=None, repr=False)
+    mean_lifetime: float | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         check_name(self.name, "services")
@@ -67,12 +70,20 @@ class ServiceType:
         object.__setattr__(self, "chain", tuple(self.chain))
         for vnf in self.chain:
             check_name(vnf, f"{where}.chain")
-        for key in ("rate", "weight", *(() if self.tolerable_delay is None else ("tolerable_delay",))):
-            parse(getattr(self, key), float, f"{where}.{key}")
-        if not 1 / LEDGER_UNITS <= self.rate <= MAX_CAPACITY:
+        parse(self.weight, float, f"{where}.weight")
+        for key in ("rate", "tolerable_delay"):
+            object.__setattr__(self, key, check_range(getattr(self, key), f"{where}.{key}"))
+        if not 1 / LEDGER_UNITS <= values_of(self.rate)[0] <= values_of(self.rate)[-1] <= MAX_CAPACITY:
             raise ScenarioError(f"{where}.rate: {self.rate} Mbit/s; use a number from 1e-6 to 1e9")
-        if self.tolerable_delay is not None and not 0 < self.tolerable_delay <= LARGEST:
+        if self.tolerable_delay is not None and not 0 < values_of(self.tolerable_delay)[-1] <= LARGEST:
             raise ScenarioError(f"{where}.tolerable_delay: {self.tolerable_delay} ms; use a positive number up to 1e30")
+        if self.mean_lifetime is not None:
+            parse(self.mean_lifetime, float, f"{where}.mean_lifetime")
+            if not SHORTEST_MEAN <= self.mean_lifetime <= LONGEST_MEAN:
+                raise ScenarioError(
+                    f"{where}.mean_lifetime: {self.mean_lifetime} s; use a positive number, "
+                    f"from {SHORTEST_MEAN:g} to {LONGEST_MEAN:g}, or null for the scenario's"
+                )
         if not (self.weight == 0 or 1 / LARGEST <= self.weight <= LARGEST):
             raise ScenarioError(f"{where}.weight: {self.weight}; use 0 or a positive number from 1e-30 to 1e30")
         self._check_rates(where)
@@ -81,6 +92,10 @@ class ServiceType:
     def _check_rates(self, where: str) -> None:
         if self.rates is None:
             return
+        if is_range(self.rate):
+            raise ScenarioError(
+                f"{where}.rates: leave it out, or give rate as one number; with [low, high] it is drawn"
+            )
         rates = parse(self.rates, tuple[float, ...], f"{where}.rates")
         object.__setattr__(self, "rates", rates)
         if len(rates) != len(self.chain) + 1:
@@ -106,8 +121,19 @@ class ServiceType:
 
     @property
     def segment_rates(self) -> tuple[float, ...]:
-        """Data rate of each of its F + 1 segments, Mbit/s."""
-        return self.rates if self.rates is not None else (self.rate,) * (len(self.chain) + 1)
+        """Data rate of each of its F + 1 segments, Mbit/s; the mean of a rate that is drawn."""
+        return self.rates if self.rates is not None else (middle(self.rate),) * (len(self.chain) + 1)
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether each request draws its own rate or tolerable delay."""
+        return is_range(self.rate) or is_range(self.tolerable_delay)
+
+    @property
+    def drawn_values(self) -> tuple[np.ndarray, np.ndarray]:
+        """The rates (Mbit/s) and the tolerable delays (ms, infinite: any) that its requests draw from, ascending."""
+        any_delay = np.array([np.inf])
+        return values_of(self.rate), any_delay if self.tolerable_delay is None else values_of(self.tolerable_delay)
 
 
 @dataclass(frozen=True)
@@ -160,13 +186,24 @@ class ServiceCatalogue:
             if not requirement > 0:
                 raise ScenarioError(f"vnfs.{vnf}: {requirement} cycles/bit; use a positive number")
         for service in self.types:
-            for vnf, rate in zip(service.chain, service.segment_rates, strict=False):
+            for vnf, rate in self._uses(service):
                 if vnf not in self.vnfs:
                     raise ScenarioError(
                         f"services.{service.name}.chain: unknown VNF {vnf!r}; define it under vnfs or use one of "
                         f"{sorted(self.vnfs)}"
                     )
                 self._check_load(service, vnf, rate)
+
+    @staticmethod
+    def _uses(service: ServiceType) -> Iterator[tuple[str, float]]:
+        """VNFs of a chain with the least and the largest rate that they may have to carry."""
+        if service.rates is not None:
+            yield from zip(service.chain, service.rates, strict=False)
+            return
+        rates = service.drawn_values[0]
+        for vnf in service.chain:
+            yield vnf, float(rates[0])
+            yield vnf, float(rates[-1])
 
     def _check_requirements(self, vnf: str, requirement: Mapping[str, float]) -> None:
         known = [*(kind.name for kind in self.resources), DELAY]
@@ -212,14 +249,40 @@ class ServiceCatalogue:
 
     @cached_property
     def profiles(self) -> Profiles:
-        """The K types as profiles, in order."""
+        """The K types as profiles, in order; what is drawn for each request at its mean."""
+        delays = [np.inf if each.tolerable_delay is None else middle(each.tolerable_delay) for each in self.types]
+        return self._profiles(np.arange(len(self.types)), [each.segment_rates for each in self.types], delays)
+
+    @cached_property
+    def drawn(self) -> Profiles | None:
+        """Every profile that a request may draw, a service's together (see ``drawn_first``); None without any."""
+        kinds, rates, delays = [], [], []
+        for kind, service in enumerate(self.types):
+            if service.is_drawn:
+                for rate in service.drawn_values[0]:
+                    segments = service.rates or (float(rate),) * (len(service.chain) + 1)
+                    for delay in service.drawn_values[1]:
+                        kinds.append(kind)
+                        rates.append(segments)
+                        delays.append(float(delay))
+        return self._profiles(np.array(kinds), rates, delays) if kinds else None
+
+    @cached_property
+    def drawn_first(self) -> np.ndarray:
+        """Of each type the first of its profiles in ``drawn``, int64 [K]. They are in order of rate, then of delay."""
+        sizes = [len(each.drawn_values[0]) * len(each.drawn_values[1]) if each.is_drawn else 0 for each in self.types]
+        return np.cumsum([0, *sizes[:-1]])
+
+    def _profiles(self, kinds: np.ndarray, rates: Sequence[Sequence[float]], delays: Sequence[float]) -> Profiles:
+        """A profile for each of the types ``kinds`` int64 [P], with rates of its segments and a tolerable delay."""
         functions = max(int(self.chain_length.max()), 1)
-        count = len(self.types)
+        count = len(kinds)
         amount = np.zeros((count, functions, len(self.resources)))
         work, fixed_delay = np.zeros((count, functions)), np.zeros((count, functions))
         rate = np.zeros((count, functions + 1))
-        for row, service in enumerate(self.types):
-            rate[row, : len(service.chain) + 1] = service.segment_rates
+        for row, kind in enumerate(kinds):
+            service = self.types[kind]
+            rate[row, : len(service.chain) + 1] = rates[row]
             for place, vnf in enumerate(service.chain):
                 amount[row, place] = self.amounts_of(vnf, rate[row, place])
                 stated = self.own_delay(vnf)
@@ -227,8 +290,7 @@ class ServiceCatalogue:
                     fixed_delay[row, place] = stated
                 elif self.resources[0].scales_with_rate:
                     work[row, place] = amount[row, place, 0]
-        tolerable = [np.inf if each.tolerable_delay is None else each.tolerable_delay for each in self.types]
-        return Profiles(np.arange(count), self.chain_length, amount, work, fixed_delay, rate, np.array(tolerable))
+        return Profiles(kinds, self.chain_length[kinds], amount, work, fixed_delay, rate, np.array(delays))
 
     @cached_property
     def load(self) -> np.ndarray:

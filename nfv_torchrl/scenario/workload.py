@@ -163,10 +163,12 @@ class Workload:
             for end, nodes in ((each.ingress, ingress), (each.egress, egress)):
                 if end == ANY:
                     nodes[service == kind] = FREE
-        lifetime = scenario.mean_lifetime * lifetime_rng.standard_exponential(len(slot))
+        lifetime = scenario.mean_lifetimes[service] * lifetime_rng.standard_exponential(len(slot))
         # An exponential may round to 0, which is no lifetime.
         lifetime = np.maximum(lifetime, np.finfo(np.float64).tiny)
-        return cls(slot, service.astype(np.int64), ingress, egress, lifetime)
+        service = service.astype(np.int64)
+        profile = _draw_profiles(scenario.catalogue, service, rng)
+        return cls(slot, service, ingress, egress, lifetime, profile, scenario.catalogue.drawn)
 
     def to_csv(self, path: str | os.PathLike[str], catalogue: ServiceCatalogue) -> None:
         """Write ``slot,service,ingress_index,egress_index,lifetime``; lifetimes (s) with all their digits. ``demand``
@@ -198,7 +200,7 @@ class Workload:
         columns = read_columns(
             path, catalogue, substrate, horizon, allow_empty=allow_empty, numbers_are_indices=numbers_are_indices
         )
-        return cls(*columns)
+        return cls(*_as_drawn(columns, catalogue))
 
     @classmethod
     def from_file(
@@ -224,6 +226,47 @@ class Workload:
         if not is_request_set(Path(path)):
             return cls.from_csv(path, catalogue, substrate, horizon)
         return cls(*read_request_set(Path(path), catalogue, horizon, lambda: generator(seed, Stream.REQUESTS)))
+
+
+def _draw_profiles(catalogue: ServiceCatalogue, service: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The profile of each request, int64 [R]: its service, or one of those that its service draws from."""
+    if catalogue.drawn is None:
+        return service
+    rate_rng, delay_rng = _split(rng, 2)
+    rate_at, delay_at = rate_rng.random(len(service)), delay_rng.random(len(service))
+    profile = service.copy()
+    for kind, each in enumerate(catalogue.types):
+        if each.is_drawn:
+            mine = service == kind
+            rates, delays = (len(values) for values in each.drawn_values)
+            place = (rate_at[mine] * rates).astype(np.int64) * delays + (delay_at[mine] * delays).astype(np.int64)
+            profile[mine] = len(catalogue.types) + catalogue.drawn_first[kind] + place
+    return profile
+
+
+def _as_drawn(columns: Columns, catalogue: ServiceCatalogue) -> Columns:
+    """The same requests with the profiles that services draw from, where all demands of a file are among these."""
+    if columns.own is None or catalogue.drawn is None:
+        return columns
+    place = {_key(catalogue.drawn, row): row for row in range(len(catalogue.drawn))}
+    found = [place.get(_key(columns.own, row)) for row in range(len(columns.own))]
+    if None in found:
+        return columns
+    first = len(catalogue.types)
+    moved = np.r_[np.arange(first), first + np.array(found, np.int64)]
+    return columns._replace(profile=moved[columns.profile], own=catalogue.drawn)
+
+
+def _key(profiles: Profiles, row: int) -> tuple[object, ...]:
+    """All that a profile asks for."""
+    functions = int(profiles.chain_length[row])
+    of_functions = (profiles.amount, profiles.work, profiles.fixed_delay)
+    return (
+        int(profiles.service[row]),
+        *(values[row, :functions].tobytes() for values in of_functions),
+        profiles.rate[row, : functions + 1].tobytes(),
+        float(profiles.tolerable_delay[row]),
+    )
 
 
 def _split(rng: np.random.Generator, count: int) -> list[np.random.Generator]:

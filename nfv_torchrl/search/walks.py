@@ -104,7 +104,7 @@ def make_problem(world, b, prices):
         tables.full_duplex,
         one_rate,
         tables.tolerable_delay[profile] + DELAY_TOLERANCE,
-        rules.max_steps,
+        e.most_steps,
         tables.rate[profile],
         tables.rate_units[profile],
         tables.load[profile],

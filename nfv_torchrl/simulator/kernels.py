@@ -13,9 +13,9 @@ from nfv_torchrl.simulator.books import empty_network, keep_running, release_wal
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step, write_mask
 from nfv_torchrl.simulator.reasons import NO_REASON, Reason
-from nfv_torchrl.simulator.slots import next_request, open_slot
+from nfv_torchrl.simulator.slots import next_request, open_slot, paper_service
 from nfv_torchrl.simulator.state import OUTCOME
-from nfv_torchrl.simulator.steps import Step, find_link, is_complete, step_cost, step_delay
+from nfv_torchrl.simulator.steps import Step, counts_as_switch, find_link, is_complete, step_cost, step_delay
 from nfv_torchrl.simulator.view import show_request
 
 NO_FEASIBLE_ACTION = int(Reason.NO_FEASIBLE_ACTION)
@@ -28,6 +28,8 @@ def _move(world, b, action):
     """Check a step and, if it passes, reserve for it. Returns ``PASSES`` or the reason's code."""
     tables, ledger, walk, e = world.tables, world.ledger, world.walk, world.env[b]
     node, vm, places = decode_action(action, ledger.vm_offered.shape[2])
+    if places and counts_as_switch(tables, world.rules, e):
+        places = False
     link = np.int64(-1) if node == e.node or e.node < 0 else find_link(tables, e.net, e.node, node)
     step = Step(link, node, vm, places)
     reason = check_step(world, b, step)
@@ -85,7 +87,11 @@ def _finish(world, b, reason, action):
         out[b, OUTCOME.request_hops] = e.hops
         keep_running(world, b)
     else:
+        out[b, OUTCOME.lost_steps] = e.steps
+        out[b, OUTCOME.lost_cost] = e.cost
         release_walk(world, b)
+    if world.rules.shared_steps:
+        world.walk.spent[b, paper_service(e)] += e.steps
     e.entries = 0
     e.cursor += 1
     next_request(world, b)

@@ -29,7 +29,7 @@ def check_step(world, b, step):
         return VM_CAPACITY
     if e.elapsed + step_delay(tables, e, step) > tables.tolerable_delay[e.profile] + DELAY_TOLERANCE:
         return DELAY
-    if e.steps + 1 > world.rules.max_steps:
+    if e.steps + 1 > e.most_steps:
         return STEP_LIMIT
     return PASSES
 
@@ -60,7 +60,10 @@ def _allow(world, b, count, action):
 
 @part
 def _add_moves(world, b, count, move, forward, place):
-    """Append the valid actions that go as ``move`` does, whatever its VM. Returns the new number of valid actions."""
+    """Append the valid actions that go as ``move`` does, whatever its VM. Returns the new number of valid actions.
+
+    ``forward`` and ``place``: which of the two may be done there by rule; whether they are feasible is looked at here.
+    """
     link, node = move
     vms = world.ledger.vm_offered.shape[2]
     feasible = world.rules.feasible_mask
@@ -75,6 +78,19 @@ def _add_moves(world, b, count, move, forward, place):
             count = _allow(world, b, count, encode_action(node, vm, 0, vms))
         if place and (not feasible or _is_feasible(world, b, Step(link, node, vm, True))):
             count = _allow(world, b, count, encode_action(node, vm, 1, vms))
+    return count
+
+
+@part
+def _add_switches(world, b, count, move):
+    """Append what goes as ``move`` does once all functions are placed, where placing counts as forwarding."""
+    link, node = move
+    vms = world.ledger.vm_offered.shape[2]
+    if world.rules.feasible_mask and not _is_feasible(world, b, Step(link, node, 0, False)):
+        return count
+    for vm in range(max(world.tables.vm_count[world.env[b].net, node], 1)):
+        count = _allow(world, b, count, encode_action(node, vm, 0, vms))
+        count = _allow(world, b, count, encode_action(node, vm, 1, vms))
     return count
 
 
@@ -103,6 +119,9 @@ def _add_steps(world, b, count):
     for k in range(tables.degree[e.net, e.node]):
         link = np.int64(tables.neighbour_link[e.net, e.node, k])
         node = np.int64(tables.neighbour[e.net, e.node, k])
+        if rules.switches and not unplaced:
+            count = _add_switches(world, b, count, (link, node))
+            continue
         place = unplaced and not (rules.distinct and _stands_on(world, b, node))
         count = _add_moves(world, b, count, (link, node), True, place)
     if unplaced and (rules.colocation or (rules.distinct and not _stands_on(world, b, e.node))):

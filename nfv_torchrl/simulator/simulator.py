@@ -29,7 +29,16 @@ def scenario_rules(scenario: Scenario) -> Rules:
         max_steps=scenario.max_steps,
         distinct=scenario.placement == "distinct",
         free_ends=scenario.free_ends,
+        shared_steps=scenario.step_budget == "slot",
+        switches=scenario.placing_after_chain == "forwards",
+        open_pairs=scenario.open_pairs,
     )
+
+
+def count_services(scenario: Scenario) -> int:
+    """The paper's K services, as the observation tells them apart: types, or pairs of a type and its endpoints."""
+    pairs = scenario.endpoint_pairs
+    return len(scenario.catalogue.types) if pairs is None else pairs.shape[0] * pairs.shape[1]
 
 
 class Simulator:
@@ -70,13 +79,25 @@ class Simulator:
         self._check_size(record)
         net = np.arange(batch_size) % len(self.scenarios)
         tables = build_tables([s.substrate for s in self.scenarios], first.profiles)
-        self.world: World = new_world(tables, scenario_rules(first), net, first.horizon, first.warmup, one_hot, record)
+        # Where the service of some network's requests does not tell their ends, all networks show these.
+        rules = scenario_rules(first)._replace(open_pairs=any(scenario.open_pairs for scenario in self.scenarios))
+        self.world: World = new_world(tables, rules, net, first.horizon, first.warmup, one_hot, record)
         self._service_shares = [_service_shares(scenario) for scenario in self.scenarios]
+        self._share_steps()
         self.world.env["done"] = 1
         for b in range(batch_size):
             scenario = self.scenario(b)
-            self.world.mean_lifetime[b] = scenario.mean_lifetime if scenario.observe_lifetime else 0.0
+            self.world.mean_lifetime[b] = scenario.usual_lifetime if scenario.observe_lifetime else 0.0
         self._grow_until_roomy()
+
+    def _share_steps(self) -> None:
+        """Counters for the steps of each service in a slot, where services share them."""
+        if not self.world.rules.shared_steps:
+            return
+        services = np.array([count_services(self.scenario(b)) for b in range(self.batch_size)])
+        self.world.env["services"] = services
+        spent = np.zeros((self.batch_size, services.max()), np.int32)
+        self.world = self.world._replace(walk=self.world.walk._replace(spent=spent))
 
     def _check_size(self, record: bool) -> None:
         """Refuse a batch that would not fit into memory, with what its tables take."""
@@ -98,7 +119,7 @@ class Simulator:
                 len(first.profiles) > len(first.catalogue.types) and other.workload_path != first.workload_path
             ):
                 raise ScenarioError(f"scenarios of one batch must share the requests' profiles; {other.name} differs")
-            if scenario_rules(other) != scenario_rules(first):
+            if scenario_rules(other)._replace(open_pairs=first.open_pairs) != scenario_rules(first):
                 raise ScenarioError(f"scenarios of one batch must share the rules of a step; {other.name} differs")
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nfv_torchrl.simulator.books import end_record, set_failed
-from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.compiled import inlined, part
 from nfv_torchrl.simulator.mask import write_mask
 from nfv_torchrl.simulator.state import OUTCOME
 from nfv_torchrl.simulator.view import show_request
@@ -72,11 +72,19 @@ def _interrupt(world, b, resource):
                 running.record_next[b, before] = record
 
 
+@inlined
+def paper_service(e):
+    """Index of the request's service among the paper's K, as the observation tells it."""
+    return np.int64(np.rint(e.service_share * (e.services - 1)))
+
+
 @part
 def open_slot(world, b):
     """Start of a slot: departures, then this slot's repairs and failures in the timeline's order."""
     arrivals, e = world.arrivals, world.env[b]
     _depart(world, b)
+    for service in range(e.services):
+        world.walk.spent[b, service] = 0
     while e.event_cursor < e.num_events and arrivals.event_slot[b, e.event_cursor] <= e.slot:
         resource = arrivals.event_resource[b, e.event_cursor]
         up = arrivals.event_up[b, e.event_cursor]
@@ -140,6 +148,9 @@ def _begin_request(world, b):
     e.last_vm = 0
     e.function = 0
     e.steps = 0
+    e.most_steps = world.rules.max_steps
+    if world.rules.shared_steps:
+        e.most_steps -= world.walk.spent[b, paper_service(e)]
     e.hops = 0
     e.elapsed = 0.0
     e.cost = 0.0

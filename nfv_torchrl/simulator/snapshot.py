@@ -86,7 +86,7 @@ def _make_idle(now: World, world: World, rows: np.ndarray) -> None:
     """Environments before their first horizon, as in a new simulator; it begins with emptying the books."""
     running, e = world.running, world.env
     e[rows] = np.zeros((), ENV_DTYPE)
-    for name in ("net", "horizon", "warmup", "num_requests", "num_events"):
+    for name in ("net", "horizon", "warmup", "num_requests", "num_events", "most_steps", "services"):
         e[name][rows] = now.env[name][rows]
     e["done"][rows] = 1
     e["free_records"][rows], e["free_entries"][rows] = running.record_next.shape[1], running.entry_next.shape[1]

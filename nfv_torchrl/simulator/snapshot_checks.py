@@ -16,7 +16,7 @@ from nfv_torchrl.simulator.reasons import NO_REASON, REASON_NAMES
 from nfv_torchrl.simulator.state import OUTCOME, REQUEST, Arrivals, Ledger, Running, Walk, World
 from nfv_torchrl.simulator.steps import Step
 from nfv_torchrl.simulator.tables import Tables
-from nfv_torchrl.simulator.view import SHARE_LEVELS, demand_size
+from nfv_torchrl.simulator.view import AT, SHARE_LEVELS, demand_size
 
 REMEDY = "use a checkpoint that this scenario's run wrote"
 
@@ -62,7 +62,7 @@ def check_world(now: World, world: World, started: np.ndarray) -> None:
     if not len(rows):
         return
     here = _rows(world, rows)
-    _check_constants(now.env[rows], here, ("net", "horizon", "warmup"))
+    _check_constants(now.env[rows], here, ("net", "horizon", "warmup", "services"))
     _check_capacities(here)
     _check_constants(now.env[rows], here, ("num_requests", "num_events"))
     _check_request(here)
@@ -110,7 +110,8 @@ def _check_request(world: World) -> None:
         require_range(e[name], free, nodes, f"env.{name}")
     require_range(e["last_vm"], 0, np.maximum(tables.vm_count[e["net"], e["node"]] - 1, 0), "env.last_vm")
     require_range(e["function"], 0, tables.chain_length[e["profile"]], "env.function")
-    require_range(e["steps"], 0, world.rules.max_steps, "env.steps")
+    _check_most_steps(world)
+    require_range(e["steps"], 0, e["most_steps"], "env.steps")
     require_range(e["hops"], 0, e["steps"], "env.hops")
     require_range(e["request_slot"], 0, e["slot"], "env.request_slot")
     for name in ("lifetime", "service_share", "elapsed", "cost"):
@@ -128,6 +129,20 @@ def _check_request(world: World) -> None:
     require((e["request_slot"] == e["slot"]) | ~live, "env.request_slot", "is not that of the request at the cursor")
 
 
+def _check_most_steps(world: World) -> None:
+    """Steps left for the request in hand: J, less what its service has taken in this slot where services share J."""
+    e, spent, rules = world.env, world.walk.spent, world.rules
+    require_range(spent, 0, rules.max_steps if rules.shared_steps else 0, "walk.spent")
+    left = np.full(len(e), rules.max_steps)
+    if rules.shared_steps:
+        service = np.rint(e["service_share"] * (e["services"] - 1)).astype(np.int64)
+        require_range(service, 0, e["services"] - 1, "env.service_share")
+        left -= spent[np.arange(len(e)), service]
+    expected = np.where(e["done"] == 0, left, e["most_steps"])
+    require(e["most_steps"] == expected, "env.most_steps", "is not what the slot has left for the request")
+    require_range(e["most_steps"], 0, rules.max_steps, "env.most_steps")
+
+
 def _check_outcome(world: World) -> None:
     """Flags, codes and counts of the last step; they index the sums of a log line."""
     out, e = world.outcome, world.env
@@ -142,6 +157,7 @@ def _check_outcome(world: World) -> None:
         OUTCOME.request_hops: (0, world.rules.max_steps),
         OUTCOME.slots_closed: (0, e["horizon"]),
         OUTCOME.interrupted: (0, e["num_requests"]),
+        OUTCOME.lost_steps: (0, world.rules.max_steps),
     }
     for name, column in OUTCOME._asdict().items():
         require(np.isfinite(out[:, column]), f"outcome.{name}", "is no finite number")
@@ -168,12 +184,18 @@ def _check_failures(world: World) -> None:
         require(flags == expected.reshape(flags.shape), f"ledger.{name}", "is not what the failures led to")
 
 
-def retrace(tables: Tables, net: int, profile: int, ingress: int, actions: np.ndarray) -> list[Step] | None:
-    """The steps of ``actions`` int [steps] from ``ingress`` (-1: free); None where a walk cannot go like that."""
+def retrace(
+    tables: Tables, net: int, profile: int, ingress: int, actions: np.ndarray, switches: bool = False
+) -> list[Step] | None:
+    """The steps of ``actions`` int [steps] from ``ingress`` (-1: free); None where a walk cannot go like that.
+
+    ``switches``: as of ``Rules``.
+    """
     _, nodes, vms, _ = tables.vm_capacity.shape
     at, functions, steps = ingress, 0, []
     for action in actions.tolist():
         node, vm, place = decode_action(action, vms)
+        place = place and not (switches and functions == tables.chain_length[profile])
         if not 0 <= action < count_actions(nodes, vms) - 1 or node >= tables.num_nodes[net]:
             return None
         link = -1
@@ -203,7 +225,7 @@ def _check_walks(world: World) -> np.ndarray:
                 refuse(f"env.entries of environment {b}", "is not 0 after the end of the horizon")
             continue
         net, profile, ingress = (int(e[name][b]) for name in ("net", "profile", "ingress"))
-        steps = retrace(tables, net, profile, ingress, walk.action[b, : e["steps"][b]])
+        steps = retrace(tables, net, profile, ingress, walk.action[b, : e["steps"][b]], world.rules.switches)
         if steps is None:
             refuse(f"walk.action of environment {b}", "is no walk in this network")
         entries, function = [], 0
@@ -400,7 +422,14 @@ def _check_flat(world: World) -> None:
         there = flat[:, place]
         shown = np.where(live, there == values.astype(np.float32), (there >= -1) & (there < 2))
         require(shown, "seen.flat", "is not what the walk says")
-    first = base + 5
+    first = base + len(AT)
+    if world.seen.ends:
+        for name in ("ingress", "egress"):
+            shown = flat[:, first] == (e[name] / max(nodes - 1, 1)).astype(np.float32)
+            require(shown | ~live, "seen.flat", "is not what the request says")
+            require((flat[:, first] >= -1) & (flat[:, first] <= 1), "seen.flat", "has an end that is no node")
+            first += 1
+    start = first
     end = flat.shape[1] - (demand_size(functions, kinds) if world.seen.demand else 0)
     ones = np.zeros((batch, end - first), np.float32)
     blocks = {"service": services, "node": nodes, "egress": nodes, "function": functions + 1}
@@ -411,9 +440,9 @@ def _check_flat(world: World) -> None:
             expected = np.where(at < 0, -1, first + at)  # what is free, or off the network, is nowhere
             require(np.where(live, hot == expected, inside | (hot == -1)), f"env.hot_{name}", "is not its place")
             rows = np.flatnonzero(inside)
-            ones[rows, hot[rows] - base - 5] = 1.0
+            ones[rows, hot[rows] - start] = 1.0
             first += size
         else:
             require(hot == -1, f"env.hot_{name}", "is set without one-hot features")
-    require(flat[:, base + 5 : end] == ones, "seen.flat", "has ones elsewhere than at the request's places")
+    require(flat[:, start:end] == ones, "seen.flat", "has ones elsewhere than at the request's places")
     require((flat[:, end:] >= 0) & (flat[:, end:] <= 1), "seen.flat", "has a demand that is no share")

@@ -16,7 +16,7 @@ from nfv_torchrl.columns import columns
 from nfv_torchrl.simulator.compiled import records
 from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.tables import Rules, Tables
-from nfv_torchrl.simulator.view import AT, demand_size
+from nfv_torchrl.simulator.view import AT, END, demand_size
 
 ENV_DTYPE = np.dtype(
     [
@@ -24,6 +24,7 @@ ENV_DTYPE = np.dtype(
         ("slot", "i8"),  # current slot t
         ("horizon", "i8"),  # T
         ("warmup", "i8"),  # first slot that counts in slot statistics
+        ("services", "i8"),  # K of the paper, where these share steps; else 0
         ("cursor", "i8"),  # request being handled
         ("num_requests", "i8"),
         ("profile", "i8"),  # that request, copied here since its arrays are far away in memory
@@ -39,6 +40,7 @@ ENV_DTYPE = np.dtype(
         ("last_vm", "i8"),
         ("function", "i8"),
         ("steps", "i8"),
+        ("most_steps", "i8"),  # steps that this walk may take
         ("hops", "i8"),
         ("elapsed", "f8"),  # ms
         ("cost", "f8"),  # $
@@ -117,6 +119,7 @@ class Walk(NamedTuple):
     action: np.ndarray  # int32 [B, J]
     resource: np.ndarray  # int32 [B, 2 J]
     use: np.ndarray  # int32 [B, 2 J], function on a VM or segment on a link, see ``use_of``
+    spent: np.ndarray  # int32 [B, K], steps taken in this slot by each service where these share them; else unused
 
 
 @by_reference
@@ -126,6 +129,7 @@ class View(NamedTuple):
     mask: np.ndarray  # bool [B, A + 1]
     valid: np.ndarray  # int32 [B, A + 1], the valid actions, first ``mask_count`` entries
     flat: np.ndarray  # float32 [B, P]
+    ends: bool  # whether ``flat`` goes on with ingress and egress, as numbers
     one_hot: bool  # whether ``flat`` goes on with one-hot service type, node, egress and function index
     demand: bool  # whether ``flat`` ends with what the request asks for: where requests bring profiles of their own
 
@@ -179,19 +183,27 @@ class Outcome(NamedTuple):
     slot_vm_use: int  # sum over them of the used share of all VM capacity
     slot_link_use: int  # the same for links
     interrupted: int  # running requests lost to failures with this step
+    lost_steps: int  # steps that a rejected request had passed
+    lost_cost: int  # their cost, $
     done: int  # end of the horizon
 
 
 OUTCOME = columns(Outcome)
 
 
-def flat_size(tables: Tables, one_hot: bool) -> int:
-    """P_i of the paper (section VI): N V R + L + 5, the one-hot features when they are on, and demands."""
+def flat_size(tables: Tables, rules: Rules, one_hot: bool) -> int:
+    """P_i of the paper (section VI): N V R + L + 5; what else tells requests apart: ends, one-hot features, demands."""
     _, nodes, vms, kinds = tables.vm_capacity.shape
     _, functions, _ = tables.load.shape
     size = kinds * count_vms(nodes, vms) + tables.link_capacity.shape[1] + len(AT)
     size += tables.services + 2 * nodes + functions + 1 if one_hot else 0
+    size += len(END) if shows_ends(rules, one_hot) else 0
     return size + (demand_size(functions, kinds) if shows_demand(tables) else 0)
+
+
+def shows_ends(rules: Rules, one_hot: bool) -> bool:
+    """Whether ingress and egress are numbers of the flat observation: where nothing else in it tells them."""
+    return rules.open_pairs and not one_hot
 
 
 def shows_demand(tables: Tables) -> bool:
@@ -208,7 +220,7 @@ def new_world(
     links = tables.link_capacity.shape[1]
     actions = count_actions(nodes, vms)
     env = records(batch, ENV_DTYPE)
-    env["net"], env["horizon"], env["warmup"] = net, horizon, warmup
+    env["net"], env["horizon"], env["warmup"], env["most_steps"] = net, horizon, warmup, rules.max_steps
     return World(
         tables=tables,
         rules=rules,
@@ -229,11 +241,13 @@ def new_world(
             action=np.zeros((batch, rules.max_steps), np.int32),
             resource=np.zeros((batch, 2 * rules.max_steps), np.int32),
             use=np.zeros((batch, 2 * rules.max_steps), np.int32),
+            spent=np.zeros((batch, 1), np.int32),
         ),
         seen=View(
             mask=np.zeros((batch, actions), np.bool_),
             valid=np.zeros((batch, actions), np.int32),
-            flat=np.zeros((batch, flat_size(tables, one_hot)), np.float32),
+            flat=np.zeros((batch, flat_size(tables, rules, one_hot)), np.float32),
+            ends=shows_ends(rules, one_hot),
             one_hot=one_hot,
             demand=shows_demand(tables),
         ),

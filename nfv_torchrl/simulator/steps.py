@@ -106,6 +106,12 @@ def is_complete(tables, e):
 
 
 @inlined
+def counts_as_switch(tables, rules, e):
+    """Whether an action that places now counts as one that forwards: no function is left, and the rules say so."""
+    return rules.switches and e.function == tables.chain_length[e.profile]
+
+
+@inlined
 def find_link(tables, net, node, neighbour):
     """The link between two nodes of network ``net``, -1 if there is none."""
     for k in range(tables.degree[net, node]):

@@ -29,6 +29,9 @@ class Rules(NamedTuple):
     step check would refuse. ``admission_control``: ``reject`` is always valid. ``max_steps``: J, steps a walk may take.
     ``distinct``: no two functions of a request on one node; a function may then also go to a VM of the current node,
     and the egress may be passed through. ``free_ends``: some requests leave their ingress or egress open.
+    ``shared_steps``: the requests of a service share J in each slot; else every request has J steps of its own.
+    ``switches``: once all functions are placed, an action that places counts as one that forwards (Algorithm 3, the
+    branch after i_f < F_k). ``open_pairs``: the service that is observed does not tell both ends of every request.
     """
 
     colocation: bool
@@ -37,6 +40,9 @@ class Rules(NamedTuple):
     max_steps: int
     distinct: bool = False
     free_ends: bool = False
+    shared_steps: bool = False
+    switches: bool = False
+    open_pairs: bool = False
 
 
 @by_reference

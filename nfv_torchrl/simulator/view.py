@@ -24,6 +24,16 @@ class RequestNumbers(NamedTuple):
 
 AT = columns(RequestNumbers)
 
+
+class EndNumbers(NamedTuple):
+    """The numbers that follow where neither these nor one-hot features tell the ends of a request."""
+
+    ingress: int  # node, scaled to [0, 1] as ``node`` is; -1 / (N - 1) when it is free
+    egress: int
+
+
+END = columns(EndNumbers)
+
 SHARE_LEVELS = 1000
 """I: levels of the used share in the observation."""
 
@@ -47,7 +57,7 @@ def _move_one(flat, b, old, first, at):
 
 @part
 def show_request(world, b):
-    """The five numbers of the request in the flat observation and, when on, the one-hot features after them.
+    """The five numbers of the request in the flat observation and, when on, its ends or one-hot features after them.
 
     Off the network, before a request with a free ingress has taken its first step, the node shows as -1 / (N - 1).
     """
@@ -62,6 +72,9 @@ def show_request(world, b):
     flat[b, base + AT.function] = e.function / functions
     flat[b, base + AT.delay] = e.elapsed / tables.tolerable_delay[e.profile]
     base += len(AT)
+    if world.seen.ends:
+        flat[b, base + END.ingress] = e.ingress / max(nodes - 1, 1)
+        flat[b, base + END.egress] = e.egress / max(nodes - 1, 1)
     if world.seen.one_hot:
         services = tables.services
         e.hot_service = _move_one(flat, b, e.hot_service, base, e.service)

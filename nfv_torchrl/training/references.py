@@ -145,6 +145,6 @@ def _digest(scenario: Scenario, seeds: Sequence[int]) -> str:
 
 RULES = (
     "seed", "horizon", "warmup", "arrival_rate", "mean_lifetime", "endpoints", "colocation", "mask",
-    "admission_control", "observe_lifetime", "max_steps", "failures",
+    "admission_control", "observe_lifetime", "max_steps", "step_budget", "placing_after_chain", "failures",
 )  # fmt: skip
 """Of a scenario, beside its network, services and endpoints."""

@@ -75,9 +75,9 @@ def test_audit_and_bounds(instance: Instance):
 
 
 @settings(max_examples=10)
-@given(general_instances(), st.integers(1, 12))
-def test_snapshots(instance: Instance, steps: int):
-    simulator, method = Simulator(instance.scenario, 1, one_hot=True), RandomSteps()
+@given(general_instances(), st.integers(1, 12), st.booleans())
+def test_snapshots(instance: Instance, steps: int, one_hot: bool):
+    simulator, method = Simulator(instance.scenario, 1, one_hot=one_hot), RandomSteps()
     simulator.start(0, instance.workload, instance.timeline)
     method.prepare(simulator, [0])
     for _ in range(steps):

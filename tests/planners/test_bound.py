@@ -176,11 +176,16 @@ def test_any_prices_prove_a_bound(workload, seed, scale):
     rng = np.random.default_rng(seed)
     size, slots = len(workload), 10
     demand = np.where(workload.service == LARGE, 5.0, 2.0)[None]
+    laws = int(rng.integers(1, 4))
+    law = rng.integers(laws, size=size)
     columns = Columns(
-        workload.slot, np.minimum(workload.departure, slots), np.ones(size), demand, rng.uniform(0.5, 2.0, size)
+        workload.slot, np.minimum(workload.departure, slots), np.ones(size), demand, rng.uniform(0.5, 2.0, size), law
     )
-    capacity, keep = rng.uniform(1.0, 12.0, (1, slots)), np.where(rng.random() < 0.5, np.ones(slots), rng.random(slots))
-    if not np.all(keep == 1.0):
+    capacity, keep = rng.uniform(1.0, 12.0, (1, slots)), rng.random((laws, slots))
+    if rng.random() < 0.5:
+        keep = np.ones((1, slots))
+        columns = columns._replace(law=np.zeros(size, np.int64))
+    else:
         columns = columns._replace(until=np.full(size, slots))
     optimum = maximise_value(columns, capacity, keep)
     assert optimum.bound == pytest.approx(float(columns.value @ optimum.accepted), abs=1e-6)

@@ -43,6 +43,7 @@ def assert_same_outcome(simulator: Simulator, result: dict) -> None:
         assert bool(outcome[name]) == result[name], name
     assert (None if outcome["reason"] < 0 else REASON_NAMES[int(outcome["reason"])]) == result["reason"]
     named = {"step_cost": "step_cost", "request_cost": "request_cost", "request_delay": "delay", "request_hops": "hops"}
+    named |= {"lost_steps": "lost_steps", "lost_cost": "lost_cost"}
     for name, theirs in named.items():
         assert outcome[name] == pytest.approx(result[theirs], rel=1e-9, abs=1e-9), name
     assert outcome["slots_closed"] == len(result["slots_closed"])

@@ -22,6 +22,7 @@ def batches(draw, same_substrate: bool = False) -> list[Instance]:
     """Two to four instances that may share a batch: same services, horizon and rules."""
     first = draw(scenarios(catalogue=draw(catalogues())))
     shared = ("catalogue", "horizon", "colocation", "mask", "admission_control", "max_steps")
+    shared += ("step_budget", "placing_after_chain")
     fixed = {name: getattr(first, name) for name in shared}
     together = [first]
     for _ in range(draw(st.integers(1, 3))):

@@ -15,6 +15,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+from nfv_torchrl.evaluation.audit.drawn import check_drawn
 from nfv_torchrl.evaluation.audit.evaluation import (
     MANIFEST,
     OF_METHOD,
@@ -55,6 +56,7 @@ def audit_run(folder: str | os.PathLike[str]) -> AuditReport:
 
 
 def _recompute(path: Path, files: RunFiles) -> AuditReport:
+    check_drawn(files)
     run = replay(files)
     metrics = {} if run is None else recompute_metrics(files, run)
     if run is not None:

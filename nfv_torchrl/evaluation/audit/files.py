@@ -67,7 +67,7 @@ class Service(NamedTuple):
     """What a request asks for: amounts of each function and kind, in millionths and in units; rate of each segment.
 
     ``work``: Mcycles/s that the processing delay of a function follows from. ``own_delay``: ms beside it.
-    ``tolerable_delay``: ms, infinite where any will do. ``weight``: of a service in the mix.
+    ``tolerable_delay``: ms, infinite where any will do. ``weight``: of a service in the mix. ``mean_lifetime``: s.
     """
 
     load_units: tuple[tuple[int, ...], ...]
@@ -78,6 +78,7 @@ class Service(NamedTuple):
     rate: tuple[float, ...]
     tolerable_delay: float
     weight: float = 0.0
+    mean_lifetime: float = 0.0
 
 
 class Request(NamedTuple):
@@ -128,6 +129,11 @@ class RunFiles:
     def asked(self, request: Request) -> Service:
         """What a request asks for: its own demand, or that of its service."""
         return self.demands[request.service, request.demand] if request.demand else self.services[request.service]
+
+    @property
+    def steps_are_shared(self) -> bool:
+        """Whether the requests of a service in a slot share the steps that they may take."""
+        return self.scenario.get("step_budget") == "slot"
 
     @property
     def distinct(self) -> bool:
@@ -192,7 +198,7 @@ def _services(scenario: dict[str, Any]) -> dict[str, Service]:
     result = {}
     for entry in scenario["services"]:
         chain = [scenario["vnfs"][vnf] for vnf in entry["chain"]]
-        rates = entry.get("rates") or [entry["rate"]] * (len(chain) + 1)
+        rates = entry.get("rates") or [mean_of(entry["rate"])] * (len(chain) + 1)
         if len(rates) != len(chain) + 1:
             raise UnreadableRun(f"scenario.json: service {entry['name']!r} has {len(rates)} rates")
         chain = [vnf if isinstance(vnf, dict) else {kinds[0]["name"]: vnf} for vnf in chain]
@@ -201,10 +207,17 @@ def _services(scenario: dict[str, Any]) -> dict[str, Service]:
             for vnf, rate in zip(chain, rates, strict=False)
         ]
         own = [vnf.get("delay") for vnf in chain]
-        result[entry["name"]] = _asked(load, rates, entry["tolerable_delay"], own, kinds)._replace(
-            weight=entry["weight"]
+        asked = _asked(load, rates, mean_of(entry["tolerable_delay"]), own, kinds)
+        own_mean = entry.get("mean_lifetime")
+        result[entry["name"]] = asked._replace(
+            weight=entry["weight"], mean_lifetime=scenario["mean_lifetime"] if own_mean is None else own_mean
         )
     return result
+
+
+def mean_of(value: Any) -> Any:
+    """A number, or the middle of an interval that requests draw from."""
+    return (value[0] + value[1]) / 2 if isinstance(value, list) else value
 
 
 def _asked(

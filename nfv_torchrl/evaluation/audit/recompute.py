@@ -230,17 +230,29 @@ def offered_load(files: RunFiles) -> float:
     Rate, mean lifetime and mean load are those of the scenario, or of the requests where these came from a file.
     """
     scenario, services = files.scenario, files.services.values()
-    rate, life = scenario["arrival_rate"], scenario["mean_lifetime"]
-    weights = sum(each.weight for each in services)
     kinds = range(max(len(vm.capacity) for here in files.vms for vm in here))
-    loads = [sum(each.weight * _chain(each, kind) for each in services) / weights for kind in kinds]
-    if scenario["workload_path"] is not None:
-        count = len(files.workload)
-        rate, life = count / scenario["horizon"], math.fsum(request.lifetime for request in files.workload) / count
-        loads = [math.fsum(_chain(files.asked(request), kind) for request in files.workload) / count for kind in kinds]
-    present = rate * life * -math.expm1(-scenario["horizon"] / life)
+    if scenario["workload_path"] is None:
+        weights = sum(each.weight for each in services)
+        present = [each.weight / weights * _stay(each.mean_lifetime, scenario["horizon"]) for each in services]
+        loads = [
+            scenario["arrival_rate"]
+            * sum(here * _chain(each, kind) for here, each in zip(present, services, strict=True))
+            for kind in kinds
+        ]
+    else:
+        requests, count = files.workload, len(files.workload)
+        stay = _stay(math.fsum(request.lifetime for request in requests) / count, scenario["horizon"])
+        loads = [
+            stay * math.fsum(_chain(files.asked(request), kind) for request in requests) / scenario["horizon"]
+            for kind in kinds
+        ]
     installed = [math.fsum(vm.capacity[kind] for here in files.vms for vm in here) for kind in kinds]
-    return max(present * load / there for load, there in zip(loads, installed, strict=True))
+    return max(load / there for load, there in zip(loads, installed, strict=True))
+
+
+def _stay(mean: float, horizon: int) -> float:
+    """Requests that are there at the end of the horizon for each that comes a slot; their mean lifetime is ``mean``."""
+    return mean * -math.expm1(-horizon / mean)
 
 
 def _chain(asked: Service, kind: int) -> float:

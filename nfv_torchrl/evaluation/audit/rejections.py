@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from nfv_torchrl.evaluation.audit.budgets import Steps
 from nfv_torchrl.evaluation.audit.files import FREE, Link, Request, RunFiles, is_index
 from nfv_torchrl.evaluation.audit.rules import STATED_DELAY_TOLERANCE, Progress, Resource, may_name, rule_broken
 
@@ -57,6 +58,7 @@ class Rejections:
             self.neighbours[b].append(a)
         self.neighbours = [sorted(set(around)) for around in self.neighbours]
         self._to_egress: dict[tuple[float, int], list[float]] = {}
+        self.steps = Steps(files)
 
     def reasons(self, request: Request, tried: Any) -> list[str]:
         """All reasons that fit, sorted: one, or two where a delay lies within rounding of the limit.
@@ -139,7 +141,7 @@ class Rejections:
                 return f"{resource[0]}_capacity"
         if state.elapsed + self._delay(state, step) > state.budget:
             return "delay"
-        return "step_limit" if state.steps + 1 > self.files.scenario["max_steps"] else None
+        return "step_limit" if state.steps + 1 > self.steps.left(state.request) else None
 
     def _uses(self, state: _State, step: list[Any]) -> Iterator[tuple[tuple[Resource, int], int]]:
         node, vm, function = step

@@ -246,12 +246,14 @@ class _Replay:
         answer.accepted, answer.reason = decision["accepted"] is True, decision["reason"]
         if not answer.accepted:
             self._check_rejected(where, request, decision)
+            self.rejections.steps.count(request, decision)
             return
         if answer.reason is not None:
             self.problems.add(f"{where}: accepted, yet with the reason {answer.reason!r}")
         if decision["tried"] is not None:
             self.problems.add(f"{where}: accepted, yet tried is not null")
         answer.walk = self._walk(where, request, decision["steps"])
+        self.rejections.steps.count(request, decision)
         self._check_stated(where, request, decision, answer.walk)
         for (resource, _), _ in answer.walk.uses:
             self.users[resource].add(index)
@@ -299,7 +301,7 @@ class _Replay:
         uses: list[tuple[tuple[Resource, int], int]] = []
         cost = delay = 0.0
         hops = 0
-        for number, step in self._well_formed(where, steps):
+        for number, step in self._well_formed(where, request, steps):
             here = f"{where} step {number}"
             to, index, function = step
             problem = rule_broken(self.files, request, at, step)
@@ -331,9 +333,9 @@ class _Replay:
             self.problems.add(f"{where}: {at.placed} of {len(service.load)} functions are placed")
         return ReplayedWalk(uses, cost, delay, hops)
 
-    def _well_formed(self, where: str, steps: Any) -> Iterator[tuple[int, list[Any]]]:
+    def _well_formed(self, where: str, request: Request, steps: Any) -> Iterator[tuple[int, list[Any]]]:
         """The steps with their numbers from 1, up to the first that names no VM of the network."""
-        most = self.files.scenario["max_steps"]
+        most = self.rejections.steps.left(request)
         if not isinstance(steps, list):
             self.problems.add(f"{where}: steps is not a list")
             return
