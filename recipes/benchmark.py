@@ -1,6 +1,7 @@
 """How fast everything is on this machine: kernels, environment, collector, training, decisions, memory.
 
     python recipes/benchmark.py
+    python recipes/benchmark.py scenario=paper_memory parts=[kernel]       # VMs with two kinds of resources
     python recipes/benchmark.py parts=[gym] nodes=[10] batch_sizes=[64]    # needs the extra sb3
     python recipes/benchmark.py parts=[kernel,methods] nodes=[10,100] batch_sizes=[64] output=runs/benchmark.json
 

@@ -46,6 +46,7 @@ def run_kernel(config: dict[str, Any]) -> Iterator[Row]:
         requests = sum(answered) / (len(answered) * steps * batch)
         yield {
             "N": nodes,
+            "resources": len(scenario.substrate.resources),
             "B": batch,
             "steps/s": cpu,
             "steps/s (wall)": wall,

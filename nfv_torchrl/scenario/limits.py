@@ -35,8 +35,8 @@ EVENT_BYTES = 300
 """Of each failure or repair, with its line in a decision folder."""
 RESERVATIONS = 10
 """Of a running request, on average; chains have about five functions."""
-POOL_GROWTH = 2
-"""Pools of running requests double when they run low."""
+POOL_GROWTH = 1.5
+"""Pools of running requests grow by half when they run low."""
 
 V2 = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current")
 V1 = ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes")

@@ -30,6 +30,7 @@ from nfv_torchrl.search.walks import (
     walk_totals,
 )
 from nfv_torchrl.simulator.compiled import kernel, part
+from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.tables import Tables
 
 POOL = 4096
@@ -38,6 +39,7 @@ ROUNDS_OF_SOME = 3
 """Label searches in which functions must not meet on some nodes, before they must not on any."""
 
 
+@by_reference
 class Scratch(NamedTuple):
     """What ``plan_cheapest`` writes to while it works; one for each thread."""
 

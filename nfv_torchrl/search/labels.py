@@ -29,6 +29,7 @@ from nfv_torchrl.search.walks import (
     vm_fits,
 )
 from nfv_torchrl.simulator.compiled import inlined, part
+from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.steps import fits
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
@@ -38,6 +39,7 @@ DEEPER_FIRST = 1e-12
 """Share of its bound by which a label goes earlier for every function that it has placed, with ``distinct``."""
 
 
+@by_reference
 class Critical(NamedTuple):
     """Resources whose use within one walk is tracked: kind r of VM v is number v R + r, link l is number N V R + l."""
 
@@ -50,6 +52,7 @@ class Critical(NamedTuple):
     nodes: np.ndarray  # uint64 [W], one bit a node: those where functions of a request must not meet
 
 
+@by_reference
 class Labels(NamedTuple):
     """Pool of P labels, the lists of labels of each (node, function) and the heap of open ones."""
 

@@ -13,9 +13,11 @@ import numpy as np
 
 from nfv_torchrl.search.walks import OVERFLOW
 from nfv_torchrl.simulator.compiled import kernel, part
+from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.tables import Tables
 
 
+@by_reference
 class Paths(NamedTuple):
     """Paths of pairs asked for so far. Row r keeps k paths; path j of it has number r * k + j.
 
@@ -39,6 +41,7 @@ class Pair(NamedTuple):
     egress: int
 
 
+@by_reference
 class Candidates(NamedTuple):
     """The best deviations found so far (at most k) and the scratch of the search for one."""
 

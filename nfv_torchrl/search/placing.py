@@ -26,10 +26,12 @@ from nfv_torchrl.search.walks import (
     walk_totals,
 )
 from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.steps import fits
 from nfv_torchrl.simulator.tables import Tables
 
 
+@by_reference
 class Placing(NamedTuple):
     """What ``greedy`` and ``tabu`` write to while they work; one for each thread."""
 

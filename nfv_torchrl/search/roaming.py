@@ -19,12 +19,14 @@ from nfv_torchrl.search.walks import (
     walk_totals,
 )
 from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.steps import fits
 from nfv_torchrl.simulator.tables import Tables
 
 NOWHERE = -1
 
 
+@by_reference
 class Roaming(NamedTuple):
     """What ``roam`` writes to while it works; one for each thread."""
 

@@ -23,8 +23,10 @@ from nfv_torchrl.search.walks import (
     vm_fits,
 )
 from nfv_torchrl.simulator.compiled import inlined, part
+from nfv_torchrl.simulator.references import by_reference
 
 
+@by_reference
 class ToGo(NamedTuple):
     """Bounds and the first step that attains them; rows are the number of functions placed."""
 

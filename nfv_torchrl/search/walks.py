@@ -8,6 +8,7 @@ import numpy as np
 
 from nfv_torchrl.codec import encode_action
 from nfv_torchrl.simulator.compiled import inlined
+from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.steps import fits, link_cost, link_delay, vm_cost, vm_delay
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
@@ -62,6 +63,7 @@ class Prices(NamedTuple):
     link: np.ndarray  # float64 [L], $ per Mbit/s
 
 
+@by_reference
 class PlannedWalk(NamedTuple):
     """Steps of a walk, int64 [J] each: node gone to, link used (-1: none), VM placed on (-1: only forwarded)."""
 

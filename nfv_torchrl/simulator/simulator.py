@@ -198,8 +198,10 @@ class Simulator:
         A rejected walk leaves one action more in the log, the one that was refused.
         """
         steps = self.world.rules.max_steps
-        if records < 1 or entries < 2 * steps:
-            self.world = grow_pools(self.world)
+        if records < 1:
+            self.world = grow_pools(self.world, ["record"])
+        if entries < 2 * steps:
+            self.world = grow_pools(self.world, ["entry"])
         log = self.world.log
         if log.enabled and places <= steps:
             have = log.action.shape[1]
@@ -213,7 +215,7 @@ class Simulator:
 
     def _grow_until_roomy(self) -> None:
         while self.world.running.entry_next.shape[1] < 4 * self.world.rules.max_steps:
-            self.world = grow_pools(self.world)
+            self.world = grow_pools(self.world, ["entry"])
 
     def load_arrivals(self, b: int, workload: Workload, timeline: FailureTimeline | None) -> None:
         """Write the requests and failures of environment b's horizon without starting it."""

@@ -2,11 +2,12 @@
 
 Scalars of an environment sit together in one record (``ENV_DTYPE``), so that a step touches one cache line of them;
 everything else is grouped by purpose into small named tuples. Nothing here is allocated while stepping, but for the
-pools of running requests, which double when they run low (``grow_pools``).
+pools of running requests, which grow by half when they run low (``grow_pools``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -110,6 +111,10 @@ class Running(NamedTuple):
     entry_next: np.ndarray  # int32 [B, entries]
     entry_resource: np.ndarray  # int32 [B, entries], see ``codec``
     entry_use: np.ndarray  # int32 [B, entries], function on a VM or segment on a link, see ``use_of``
+
+
+POOLS = {"record": ("free_record", "free_records"), "entry": ("free_entry", "free_entries")}
+"""Of each pool of ``Running``: the head of an environment's free list, and how many are left there."""
 
 
 @by_reference
@@ -320,22 +325,23 @@ def widen(array: np.ndarray, columns: int, fill: int | float | bool = 0) -> np.n
     return wide
 
 
-def grow_pools(world: World) -> World:
-    """The same world with room for twice the running requests and reservations.
+def grow_pools(world: World, kinds: Iterable[str] = ("record", "entry")) -> World:
+    """The same world with room for half as many more running requests (``record``) and reservations (``entry``).
 
-    New places are chained in front of each environment's free lists.
+    At least for those of one walk. New places are chained in front of each environment's free lists.
     """
     running, env = world.running, world.env
-    records, entries = running.record_next.shape[1], running.entry_next.shape[1]
-    grown = running._replace(
-        **{name: widen(array, 2 * array.shape[1]) for name, array in running._asdict().items() if name != "head"}
-    )
-    _chain(grown.record_next, records, env["free_record"])
-    _chain(grown.entry_next, entries, env["free_entry"])
-    env["free_record"], env["free_entry"] = records, entries
-    env["free_records"] += records
-    env["free_entries"] += entries
-    return world._replace(running=grown)
+    for kind in kinds:
+        free, count = POOLS[kind]
+        have = getattr(running, f"{kind}_next").shape[1]
+        room = have + max(have // 2, 2 * world.rules.max_steps)
+        running = running._replace(
+            **{name: widen(array, room) for name, array in running._asdict().items() if name.startswith(kind)}
+        )
+        _chain(getattr(running, f"{kind}_next"), have, env[free])
+        env[free] = have
+        env[count] += room - have
+    return world._replace(running=running)
 
 
 def _chain(following: np.ndarray, first: int, tail: np.ndarray) -> None:

@@ -13,6 +13,7 @@ from strategies import Instance, catalogues, random_action, scenarios, workloads
 
 from nfv_torchrl.errors import CheckpointError, ScenarioError
 from nfv_torchrl.scenario.scenario import paper_scenario
+from nfv_torchrl.search.loading import Loader
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.snapshot import restore_snapshot, take_snapshot
 
@@ -186,3 +187,23 @@ def test_actions_of_another_shape_are_refused():
     for actions in (np.zeros(3, np.int64), np.zeros((2, 1), np.int64), np.zeros((), np.int64)):
         with pytest.raises(ValueError, match="shape"):
             simulator.step(actions)
+
+
+def test_an_environment_of_a_large_network_takes_at_most_8_mb():
+    """25 requests/s of 1200 s for 2000 s, if all were accepted: what a part of them takes, and pools half empty."""
+    simulator = Simulator(paper_scenario(100, arrival_rate=25.0, mean_lifetime=1200.0, horizon=2000), 1)
+    scenario = simulator.scenario(0)
+    simulator.start(0, scenario.workload(0), None)
+    Loader(simulator).forward(0, 100, np.random.default_rng(0))
+    running, e = simulator.world.running, simulator.world.env[0]
+    walk = 2 * scenario.max_steps
+    bytes_each, others = 0.0, simulator.memory_bytes()
+    for kind, free in (("record", e["free_records"]), ("entry", e["free_entries"])):
+        arrays = [array for name, array in running._asdict().items() if name.startswith(kind)]
+        used = arrays[0].shape[1] - free
+        assert used > 2048, "the pools have grown several times"
+        assert arrays[0].shape[1] <= 1.5 * (used + walk), kind
+        bytes_each += sum(array.nbytes for array in arrays) / arrays[0].shape[1] * used / e["num_running"]
+        others -= sum(array.nbytes for array in arrays)
+    most = 25.0 * 1200.0 * -np.expm1(-2000.0 / 1200.0)
+    assert others + 1.5 * most * bytes_each <= 8e6
