@@ -11,6 +11,7 @@ from nfv_torchrl.observations.base import gather
 from nfv_torchrl.observations.request import current_requests
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.steps import link_delay
+from nfv_torchrl.simulator.view import demand_size
 
 VM_FEATURES = ("exists", "use", "speed", "unit_cost")
 LINK_FEATURES = ("exists", "use", "delay", "unit_cost")
@@ -23,7 +24,9 @@ class GraphObservation:
     ``vms`` [B, N, V, 1 + 3 R]: exists, then for each of the R kinds of resources used share, capacity and unit cost
     over the network's mean. ``links`` [B, L, 4]: exists, used share, delay of the hop over the tolerable delay, unit
     cost over the mean; with full duplex a row for each direction. ``link_ends`` int64 [B, L, 2]. ``nodes`` [B, N, 3]:
-    one-hot current node, ingress, egress; none where that is free.
+    one-hot current node, ingress, egress; none where that is free. ``request`` [B, K + 2]: one-hot service type,
+    functions placed of the longest chain, delay elapsed of what is tolerable; where requests bring profiles of their
+    own, the demand follows, as in the flat observation.
     """
 
     def __init__(self) -> None:
@@ -59,6 +62,7 @@ class GraphObservation:
                 links=Unbounded((*batch, links, len(LINK_FEATURES)), dtype=torch.float32),
                 link_ends=Categorical(nodes, shape=(*batch, links, 2), dtype=torch.int64),
                 nodes=Unbounded((*batch, nodes, len(NODE_FEATURES)), dtype=torch.float32),
+                request=Unbounded((*batch, _request_size(simulator)), dtype=torch.float32),
                 shape=batch,
             )
         }
@@ -89,8 +93,28 @@ class GraphObservation:
             "links": _stack(link_exists, link_use, delay, link_cost),
             "link_ends": self._ends.clone(),
             "nodes": torch.from_numpy(marks),
+            "request": torch.from_numpy(_describe_request(simulator)),
         }
         return {"graph": gather(values, batch)}
+
+
+def _request_size(simulator: Simulator) -> int:
+    """Numbers of ``request``."""
+    _, functions, kinds = simulator.tables.load.shape
+    return simulator.tables.services + 2 + (demand_size(functions, kinds) if simulator.world.seen.demand else 0)
+
+
+def _describe_request(simulator: Simulator) -> np.ndarray:
+    """What the request in hand is, beside its nodes, float32 [B, K + 2 + demand]; zeros past the end of the horizon."""
+    env, tables, seen = simulator.world.env, simulator.tables, simulator.world.seen
+    services, live = tables.services, env["done"] == 0
+    values = np.zeros((len(env), _request_size(simulator)), np.float32)
+    values[live, env["service"][live]] = 1.0
+    values[:, services] = env["function"] / tables.load.shape[1]
+    values[:, services + 1] = env["elapsed"] / tables.tolerable_delay[env["profile"]]
+    values[:, services + 2 :] = seen.flat[:, seen.flat.shape[1] - (values.shape[1] - services - 2) :]
+    values[~live] = 0.0
+    return values
 
 
 def _stack(*columns: np.ndarray) -> torch.Tensor:

@@ -10,7 +10,7 @@ from nfv_torchrl.observations.base import gather
 from nfv_torchrl.simulator import Simulator
 
 INTEGERS = ("service", "ingress", "egress", "node", "function")
-DEMANDS = ("amounts", "rates")
+DEMANDS = ("amounts", "rates", "delays", "chain_length")
 MOST_DELAY = 1e9
 """ms shown where any delay will do."""
 NUMBERS = ("rate", "tolerable_delay", "remaining_delay")
@@ -23,7 +23,8 @@ class RequestObservation:
     next function). float32: ``rate`` (Mbit/s, of the next segment), ``tolerable_delay`` and ``remaining_delay`` (ms;
     1e9 where any delay will do), and ``lifetime`` (s) if the scenario has ``observe_lifetime``. With requests whose
     ends may be free, N stands for a free end and for off the network. Where requests bring profiles of their own, also
-    ``amounts`` [B, F, R] and ``rates`` [B, F + 1], as shares of the largest of all. Zero past the end of the horizon.
+    ``amounts`` [B, F, R] and ``rates`` [B, F + 1], as shares of the largest of all, ``delays`` [B, F] (ms of each
+    function beside what follows from its load) and int64 ``chain_length`` [B]. Zero past the end of the horizon.
     """
 
     def specs(self, simulator: Simulator) -> dict:
@@ -38,6 +39,8 @@ class RequestObservation:
         if simulator.world.seen.demand:
             spec["amounts"] = Unbounded((*batch, functions, kinds), dtype=torch.float32)
             spec["rates"] = Unbounded((*batch, functions + 1), dtype=torch.float32)
+            spec["delays"] = Unbounded((*batch, functions), dtype=torch.float32)
+            spec["chain_length"] = Categorical(functions + 1, shape=batch, dtype=torch.int64)
         return {"request": Composite(spec, shape=batch)}
 
     def read(self, simulator: Simulator) -> dict:
@@ -71,4 +74,6 @@ def current_requests(simulator: Simulator) -> dict[str, np.ndarray]:
         amounts = tables.load[profile] / tables.largest_amount * active[:, None, None]
         values["amounts"] = amounts.astype(np.float32)
         values["rates"] = (tables.rate[profile] / tables.largest_rate * active[:, None]).astype(np.float32)
+        values["delays"] = (tables.fixed_delay[profile] * active[:, None]).astype(np.float32)
+        values["chain_length"] = tables.chain_length[profile] * active
     return values
