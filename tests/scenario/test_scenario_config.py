@@ -20,6 +20,7 @@ NAMES = sorted(path.stem for path in (CONFIGS / "scenario").glob("[!_]*.yaml"))
 
 SETTINGS = {  # N, V, lambda, mu, T, rho of seed 0
     "paper": (10, 6, 10, 600, 1000, 0.85),
+    "paper_ranges": (10, 6, 10, 600, 1000, 0.99),
     "paper_20": (20, 6, 10, 600, 1000, 0.45),
     "paper_30": (30, 6, 10, 600, 1000, 0.28),
     "paper_50": (50, 6, 10, 600, 1000, 0.17),
