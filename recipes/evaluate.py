@@ -34,6 +34,7 @@ from nfv_torchrl.folders import claim
 from nfv_torchrl.methods import Method, methods_from_config
 from nfv_torchrl.parallel import Workers
 from nfv_torchrl.progress_bar import ProgressBar
+from nfv_torchrl.scenario.request_sets import holds_laws
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import EvaluateSettings, read_settings
 from nfv_torchrl.settings.values import list_of_seeds
@@ -86,7 +87,8 @@ def read_runs(config: dict[str, Any]) -> tuple[list[Scenario], list[int]]:
             f"scenario_seeds: {len(networks)} of them and {len(seeds)} seeds; each network meets one workload seed, so "
             f"use as many, such as seeds={len(networks)}"
         )
-    if config["scenario"]["workload"]["path"] is not None:
+    path = config["scenario"]["workload"]["path"]
+    if path is not None and not holds_laws(path):
         raise ScenarioError("scenario_seeds: networks change but workload.path is one file; leave one of them null")
     return [Scenario.from_config({**config["scenario"], "seed": seed}) for seed in networks], seeds
 

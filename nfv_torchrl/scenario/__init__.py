@@ -13,7 +13,8 @@ from nfv_torchrl.scenario.services import ServiceCatalogue, ServiceType, paper_c
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.topology_zoo import read_topology, shipped_topologies
-from nfv_torchrl.scenario.workload import Workload
+from nfv_torchrl.scenario.waxman import draw_waxman
+from nfv_torchrl.scenario.workload import Workload, draw_chains
 
 __all__ = [
     "FailureModel",
@@ -28,7 +29,9 @@ __all__ = [
     "Substrate",
     "SubstrateConfig",
     "Workload",
+    "draw_chains",
     "draw_random_substrate",
+    "draw_waxman",
     "generator",
     "paper_catalogue",
     "paper_scenario",

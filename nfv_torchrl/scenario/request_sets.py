@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError, ScenarioWarning
+from nfv_torchrl.files import load_json
 from nfv_torchrl.scenario.demands import Demand, to_profiles
 from nfv_torchrl.scenario.formats.nfvdeep import read_nfvdeep
 from nfv_torchrl.scenario.formats.requests import Asked, RequestSet
 from nfv_torchrl.scenario.formats.virne import read_virne
+from nfv_torchrl.scenario.formats.virne_laws import ChainLaws, draw_asked, read_laws
 from nfv_torchrl.scenario.profiles import MOST_FUNCTIONS
 from nfv_torchrl.scenario.quoting import shown
 from nfv_torchrl.scenario.request_file import Columns, slots_of
 from nfv_torchrl.scenario.services import FREE, ServiceCatalogue
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 
+LAWS = (".yaml", ".yml")
+"""Suffixes of Virne's settings, which hold the laws of requests."""
 NONE_OF_OURS = (
     "its requests name no service, so the scenario must have one only, whose name they take; use scenario=virne, or "
     "list one service"
@@ -26,14 +31,20 @@ NONE_OF_OURS = (
 
 
 def is_request_set(path: Path) -> bool:
-    """Whether ``path`` is a folder or a JSON file, so no CSV file of this project."""
-    return path.is_dir() or path.suffix.lower() == ".json"
+    """Whether ``path`` is a folder or a JSON or YAML file, so no CSV file of this project."""
+    return path.is_dir() or path.suffix.lower() in (".json", *LAWS)
+
+
+def holds_laws(path: str | os.PathLike[str]) -> bool:
+    """Whether a workload file holds the laws of requests, which are drawn anew with each scenario seed."""
+    suffix = Path(path).suffix.lower()
+    return suffix in LAWS or (suffix == ".json" and isinstance(load_json(path), Mapping))
 
 
 def read_request_set(
     path: Path, catalogue: ServiceCatalogue, horizon: int | None, generator: Callable[[], np.random.Generator]
 ) -> Columns:
-    """The requests of a folder of Virne's or of CN-UPB/NFVdeep's JSON, a profile each, both ends free.
+    """The requests of Virne's folders or settings, or of CN-UPB/NFVdeep's JSON, a profile each, both ends free.
 
     Args:
         path: folder or file.
@@ -47,7 +58,21 @@ def read_request_set(
     if len(catalogue.types) != 1:
         raise ScenarioError(f"{path}: {NONE_OF_OURS} (there are {len(catalogue.types)} services)")
     kinds = [kind.name for kind in catalogue.resources]
-    found = read_virne(path, kinds) if path.is_dir() else read_nfvdeep(path, generator)
+    if path.suffix.lower() in LAWS:
+        found = RequestSet(str(path), draw_asked(read_laws(path), generator(), str(path)))
+    else:
+        found = read_virne(path, kinds) if path.is_dir() else read_nfvdeep(path, generator)
+    return _columns(found, catalogue, horizon)
+
+
+def chain_columns(laws: ChainLaws, catalogue: ServiceCatalogue, rng: np.random.Generator) -> Columns:
+    """Requests drawn from ``laws``, as ``read_request_set`` has those of a file."""
+    return _columns(RequestSet("laws", draw_asked(laws, rng, "laws")), catalogue, None)
+
+
+def _columns(found: RequestSet, catalogue: ServiceCatalogue, horizon: int | None) -> Columns:
+    """``found`` as requests of the only service of ``catalogue``."""
+    kinds = [kind.name for kind in catalogue.resources]
     _warn_of_unused(found, kinds)
     if horizon is not None:
         for asked in found.requests:

@@ -11,9 +11,10 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.arrivals import draw_counts
+from nfv_torchrl.scenario.formats.virne_laws import ChainLaws
 from nfv_torchrl.scenario.profiles import Profiles
 from nfv_torchrl.scenario.request_file import Columns, read_columns, write_columns
-from nfv_torchrl.scenario.request_sets import is_request_set, read_request_set
+from nfv_torchrl.scenario.request_sets import chain_columns, is_request_set, read_request_set
 from nfv_torchrl.scenario.services import ANY, FREE, ServiceCatalogue
 from nfv_torchrl.scenario.streams import Stream, generator
 
@@ -211,7 +212,7 @@ class Workload:
         horizon: int | None,
         seed: int,
     ) -> Workload:
-        """Read a CSV file, a folder of Virne's or ``requests.json`` of CN-UPB/NFVdeep (``docs/data.md``).
+        """Read a CSV file, a folder or settings of Virne's, or ``requests.json`` of CN-UPB/NFVdeep (``docs/data.md``).
 
         Args:
             path: file or folder.
@@ -267,6 +268,24 @@ def _key(profiles: Profiles, row: int) -> tuple[object, ...]:
         profiles.rate[row, : functions + 1].tobytes(),
         float(profiles.tolerable_delay[row]),
     )
+
+
+def draw_chains(seed: int, catalogue: ServiceCatalogue, laws: ChainLaws | None = None) -> Workload:
+    """Requests drawn as Virne draws its chains: a profile each, both ends free.
+
+    ``Workload.to_csv`` writes them for ``scenario.workload.path``.
+
+    Args:
+        seed: scenario seed; the same requests as a file of these laws gives with it.
+        catalogue: has one service, that of all requests, and the kinds of resources of ``laws``.
+        laws: Virne's published ones by default.
+
+    Raises:
+        ScenarioError: a catalogue of other services or kinds.
+    """
+    if len(catalogue.types) != 1:
+        raise ScenarioError(f"draw_chains: {len(catalogue.types)} services; chains are of one, give such a catalogue")
+    return Workload(*chain_columns(laws or ChainLaws(), catalogue, generator(seed, Stream.REQUESTS)))
 
 
 def _split(rng: np.random.Generator, count: int) -> list[np.random.Generator]:
