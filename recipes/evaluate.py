@@ -90,7 +90,9 @@ def read_runs(config: dict[str, Any]) -> tuple[list[Scenario], list[int]]:
     path = config["scenario"]["workload"]["path"]
     if path is not None and not holds_laws(path):
         raise ScenarioError("scenario_seeds: networks change but workload.path is one file; leave one of them null")
-    return [Scenario.from_config({**config["scenario"], "seed": seed}) for seed in networks], seeds
+    scenarios = [Scenario.from_config({**config["scenario"], "seed": seed}) for seed in networks]
+    longest = max(scenario.horizon for scenario in scenarios)  # with horizon=null each is as long as its requests
+    return [each if each.horizon == longest else each.replace(horizon=longest) for each in scenarios], seeds
 
 
 def choose_reference(name: str | None, methods: Sequence[Method]) -> str:

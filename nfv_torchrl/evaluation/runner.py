@@ -75,8 +75,11 @@ def run_method(
             raise ScenarioError(f"{len(given)} {what} were given for {len(seeds)} seeds; give one for each")
     scenarios = [scenario_for(each, method) for each in scenarios]
     records: list[RunRecord] = []
-    for first in range(0, len(seeds), MOST_TOGETHER):
-        group = slice(first, first + MOST_TOGETHER)
+    # Requests with demands of their own differ from scenario to scenario, and with them what a batch shares.
+    apart = len(scenarios) > 1 and any(each.workload_path is not None for each in scenarios)
+    together = 1 if apart else MOST_TOGETHER
+    for first in range(0, len(seeds), together):
+        group = slice(first, first + together)
         here = scenarios if len(scenarios) == 1 else scenarios[group]
         simulator = Simulator(here, len(seeds[group]), one_hot=method.one_hot, record=True, threads=threads)
         given = None if workloads is None else workloads[group]

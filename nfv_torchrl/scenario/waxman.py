@@ -27,7 +27,7 @@ def draw_waxman(
 
     Nodes lie anywhere in a square; two have a link with probability ``beta`` exp(-d / (``alpha`` D)), d their distance
     and D the largest of all. Every unit costs 1, links take no time. Use it by
-    ``scenario.substrate.generator._target_=nfv_torchrl.scenario.waxman.draw_waxman``.
+    ``scenario.substrate.generator={_target_:nfv_torchrl.scenario.waxman.draw_waxman}``.
 
     Args:
         seed: scenario seed.
