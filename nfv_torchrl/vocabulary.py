@@ -120,7 +120,7 @@ for _row in (
     Quantity("lost_service_time", SECONDS, "slots that the interrupted requests still had to run, in all",
              head="lost s", details=True),
     Quantity("rac", SHARE, "acceptance as Virne defines it, which is `aar`; this and the two below where requests "
-             "bring demands of their own", ("eval", "files"), "RAC", "share"),
+             "of a file bring demands", ("eval", "files"), "RAC", "share"),
     Quantity("lrc", "ratio", "revenue / cost of the accepted requests, each times its lifetime: amounts asked for, "
              "mean over kinds, plus rates of segments, over the same with each rate times its hops", ("eval", "files"),
              "LRC", "share"),

@@ -181,8 +181,8 @@ def decisions_per_second(record: RunRecord) -> float:
 
 
 def has_revenue(record: RunRecord) -> bool:
-    """Whether requests bring demands of their own, which Virne's metrics take for what they pay."""
-    return record.workload.own is not None
+    """Whether requests of a file bring demands of their own, which Virne's metrics take for what they pay."""
+    return record.scenario.workload_path is not None and record.workload.own is not None
 
 
 def asked(record: RunRecord) -> tuple[np.ndarray, np.ndarray]:

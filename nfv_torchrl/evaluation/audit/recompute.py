@@ -175,12 +175,12 @@ def _lost(decided: Decided) -> int:
 
 @recomputes("rac")
 def _rac(decided: Decided) -> dict[str, float | None]:
-    return {"": _accepted_share(decided)} if decided.files.demands else {}
+    return {"": _accepted_share(decided)} if _has_revenue(decided) else {}
 
 
 @recomputes("lrc")
 def _lrc(decided: Decided) -> dict[str, float | None]:
-    if not decided.files.demands:
+    if not _has_revenue(decided):
         return {}
     spent = math.fsum(_node_demand(decided, answer) * answer.request.lifetime for answer in decided.accepted)
     spent += math.fsum(
@@ -194,10 +194,15 @@ def _lrc(decided: Decided) -> dict[str, float | None]:
 
 @recomputes("lar")
 def _lar(decided: Decided) -> dict[str, float | None]:
-    if not decided.files.demands:
+    if not _has_revenue(decided):
         return {}
     last = decided.files.workload[-1].arrives - decided.files.scenario["warmup"]
     return {"": _earned(decided) / last if last > 0 else None}
+
+
+def _has_revenue(decided: Decided) -> bool:
+    """Whether the requests are those of a file and bring demands."""
+    return bool(decided.files.demands) and decided.files.scenario["workload_path"] is not None
 
 
 def _accepted_share(decided: Decided) -> float | None:
