@@ -78,6 +78,7 @@ def test_graph():
         "links": (5, 4),
         "link_ends": (5, 2),
         "nodes": (4, 3),
+        "request": (4,),
     }
     # Six VMs of 330 Mcycles/s together, at $16 together: means 55 and 8/3. 1.0: 10 of 40 used, $1.
     assert graph["vms"][1, 0].tolist() == pytest.approx([1, 0.25, 40 / 55, 3 / 8])
@@ -89,6 +90,8 @@ def test_graph():
     assert graph["link_ends"].tolist() == [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]]
     # Now at 1, from 0, to 3.
     assert graph["nodes"].T.tolist() == [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
+    # A duo, one of two functions placed, after 110 + 250 ms.
+    assert graph["request"].tolist() == pytest.approx([1, 0, 0.5, 360 / 1050])
 
 
 def test_graph_of_a_smaller_network_is_padded():

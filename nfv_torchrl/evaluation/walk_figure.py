@@ -180,5 +180,6 @@ def title_of(record: RunRecord, request: int) -> str:
     service = services[int(work.service[request])]
     chain = ", ".join(f"f{k + 1} {name}" for k, name in enumerate(service.chain))
     ingress, egress = ("any" if end[request] < 0 else int(end[request]) for end in (work.ingress, work.egress))
-    limit = "any delay" if service.tolerable_delay is None else f"at most {service.tolerable_delay:g} ms"
+    tolerable = float(record.scenario.profiles.tolerable_delay[work.profile[request]])
+    limit = f"at most {tolerable:g} ms" if np.isfinite(tolerable) else "any delay"
     return f"{service.name}, request {request}, {limit}\nfrom node {ingress} to {egress}\n{chain}"

@@ -41,7 +41,7 @@ def what_you_see(scenario: Scenario, config: Mapping[str, Any], references: Refe
         f"evaluated on the workload seeds {seeds}.",
         "",
         f"Scenario `{scenario.name}`: {scenario.substrate.num_nodes} nodes, {scenario.substrate.num_links} links, "
-        f"{scenario.arrival_rate:g} requests a second that stay {scenario.mean_lifetime:g} s on average. The offered "
+        f"{scenario.arrival_rate:g} requests a second that stay {scenario.usual_lifetime:g} s on average. The offered "
         f"load rho is {scenario.offered_load():.2f}: {_load(scenario.offered_load())}.",
         "",
     ]

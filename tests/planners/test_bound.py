@@ -378,3 +378,22 @@ def test_the_timeline_lowers_what_is_there():
     workload = requests((1, LARGE, 1.0), (2, SMALL, 1.0), (4, SMALL, 1.0))
     assert hindsight_bound(scenario, workload, timeline).accepted == 1
     assert len(sample_timeline(scenario.failures, scenario.substrate, 10, np.random.default_rng(0))) > 0
+
+
+def test_the_blind_bound_knows_the_lifetimes_of_services():
+    # Of means that are all the same it is what it was; a service that stays shorter leaves room, one that stays longer
+    # takes it; and what the scenario says of services with a mean of their own does not matter.
+    workload = requests(*[(slot, kind, 1.0) for slot in range(6) for kind in (LARGE, SMALL)])
+    plain = two_nodes(mean_lifetime=3.0)
+    first, second = plain.catalogue.types
+
+    def bound(mean: float, *own: float | None) -> float:
+        types = tuple(replace(kind, mean_lifetime=life) for kind, life in zip((first, second), own, strict=True))
+        catalogue = replace(plain.catalogue, types=types)
+        return blind_bound(two_nodes(mean_lifetime=mean).replace(catalogue=catalogue), workload).accepted
+
+    usual = bound(3.0, None, None)
+    assert bound(99.0, 3.0, 3.0) == pytest.approx(usual)
+    shorter, longer = bound(3.0, 1.0, None), bound(3.0, 9.0, None)
+    assert longer < usual < shorter
+    assert bound(99.0, 1.0, 3.0) == pytest.approx(shorter)

@@ -19,6 +19,7 @@ from nfv_torchrl.evaluation.audit import audit_run
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.evaluation.walk_figure import title_of
 from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.planners.greedy import GreedyPlanner
 from nfv_torchrl.planners.milp import MilpPlanner
@@ -128,6 +129,9 @@ def test_planners_audit_and_files_know_them(tmp_path: Path, planner):
         assert 0 < bound(scenario, record.workload).aar <= 1
     write_run(tmp_path / "run", record, compute_metrics(record))
     assert audit_run(tmp_path / "run").problems == []
+    first = int(np.flatnonzero(record.workload.service == 0)[0])
+    tolerable = scenario.profiles.tolerable_delay[record.workload.profile[first]]
+    assert f"drawn, request {first}, at most {tolerable:g} ms" in title_of(record, first)
     back = read_run_folder(tmp_path / "run")
     assert back.scenario.catalogue.types == scenario.catalogue.types
     np.testing.assert_array_equal(back.workload.profile, record.workload.profile)
