@@ -13,6 +13,7 @@ from nfv_torchrl import rewards
 from nfv_torchrl.errors import CheckpointError, ScenarioError
 from nfv_torchrl.lean_env import LeanEnv
 from nfv_torchrl.observations import (
+    KnowingPart,
     MemoryObservation,
     ObservationPart,
     RequestObservation,
@@ -114,6 +115,7 @@ class NFVEnv(LeanEnv):
         self.reward = rewards.prepared(reward, self.simulator)
         self.cost_scale = rewards.cost_scale(self.simulator.tables, self.simulator.world.env["net"])
         self.parts = (RequestObservation(),) if observations is None else tuple(observations)
+        self._knowing = [part for part in self.parts if isinstance(part, KnowingPart)]
         self._loader = Loader(self.simulator) if stagger else None
         if segment is not None and (segment < 1 or not stagger):
             raise ScenarioError(f"segment is {segment}; it needs stagger and must be at least 1 slot, or null")
@@ -152,8 +154,12 @@ class NFVEnv(LeanEnv):
         self.simulator.step(actions)
 
     def _outcome(self) -> Mapping[str, np.ndarray]:
-        """What the last step brought, for the reward, float64 [B] by name."""
-        return self.simulator.outcome
+        """What the last step brought, for the reward, float64 [B] by name, with what parts of the observation know of
+        the request that it was about (``known``)."""
+        outcome = self.simulator.outcome
+        for part in self._knowing:
+            outcome |= part.known()
+        return outcome
 
     def _observe(self) -> TensorDictBase:
         """What a controller sees now, in tensors of its own."""

@@ -103,13 +103,17 @@ def admission_regret(
     """``w_acc - w_cost (phi / phi_min - 1)`` for an accepted request, 0 for a rejected one.
 
     phi_min is what the cheapest walk would have cost when the request came, so a request that is dear to everybody is
-    worth as much as any. For ``PlanEnv`` alone, which knows phi_min.
+    worth as much as any, and a hop that costs a tenth more counts the same for each service. Only ``PlanEnv``, and
+    ``NFVEnv`` with the rows of ``LookaheadObservation``, know phi_min. Where those rows are lower bounds
+    (``exact=False``), so is phi_min.
 
     Raises:
         ScenarioError: the environment does not say phi_min.
     """
     if "least_cost" not in outcome:
-        raise ScenarioError("reward: admission_regret needs the least cost of a request; use it with env=plans")
+        raise ScenarioError(
+            "reward: admission_regret needs the least cost of a request; use env=plans or network=lookahead"
+        )
     accepted = outcome["accepted"] > 0
     least = np.where(accepted, np.maximum(outcome["least_cost"], LEAST_COST), 1.0)
     return np.where(accepted, w_acc - w_cost * (outcome["request_cost"] / least - 1.0), 0.0)

@@ -35,7 +35,16 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.gym_speed import run_gym
 from nfv_torchrl.experiments.loaded import make_scenario
-from nfv_torchrl.experiments.speed import COLLECTED, Row, run_collector, run_env, run_kernel, run_memory, run_methods
+from nfv_torchrl.experiments.speed import (
+    COLLECTED,
+    Row,
+    run_collector,
+    run_env,
+    run_kernel,
+    run_memory,
+    run_methods,
+    run_rows,
+)
 from nfv_torchrl.files import read_json, write_atomically
 from nfv_torchrl.folders import claim_file
 from nfv_torchrl.progress_bar import ProgressBar
@@ -126,6 +135,7 @@ PARTS: dict[str, tuple[str, Callable[[dict[str, Any]], Iterator[Row]]]] = {
     "kernel": ("Kernel: random valid actions, mask and flat observation updated, one core", run_kernel),
     "env": ("NFVEnv: rollouts with a random masked policy", run_env),
     "collector": (f"Collector: random masked policy, {COLLECTED} steps a batch", run_collector),
+    "rows": ("Rows of candidate and of lookahead: an environment's step with them, the same actions", run_rows),
     "gym": ("Gymnasium: MaskablePPO of sb3-contrib, rollouts alone and learning", run_gym),
     "training": ("Training: recipes/dqn.py with its defaults", run_training),
     "methods": ("Methods: decisions on loaded networks, simulation not counted", run_methods),

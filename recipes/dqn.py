@@ -64,7 +64,7 @@ def main(cfg: DictConfig) -> None:
     decisions = instantiate(cfg.env)
     sizes = decisions.sizes(worlds, one_hot=cfg.one_hot)
     loss = make_loss(cfg.loss, instantiate(cfg.network), sizes).to(device)
-    check_any_size(loss, cfg.networks)
+    check_any_size(loss, cfg.networks or cfg.eval.networks)
     if cfg.init_from and not cfg.resume:
         load_weights(q_network(loss), cfg.init_from)
     environment = partial(decisions.environment, loss=loss, reward=instantiate(cfg.reward), one_hot=cfg.one_hot)

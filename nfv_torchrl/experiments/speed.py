@@ -17,6 +17,9 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.runner import scenario_for
 from nfv_torchrl.experiments.loaded import batches, load_networks, loaded_env, make_scenario, median_rates, vm_use
 from nfv_torchrl.methods import methods_from_config
+from nfv_torchrl.methods.lookahead_play import LookaheadPlay
+from nfv_torchrl.networks import LookaheadNetwork, Sizes
+from nfv_torchrl.observations import CandidateObservation, LookaheadObservation
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator, kernels
 from nfv_torchrl.simulator.state import OUTCOME
@@ -24,6 +27,8 @@ from nfv_torchrl.training.random_policy import RandomPolicy
 
 ROLLOUT, COLLECTED = 64, 16
 """Steps of each environment in a rollout, and in a batch of the collector."""
+WARM_UP, EXPLORED = 16, 0.05
+"""Steps before rows are timed, and the share of random actions among those that they are timed with."""
 
 Row = dict[str, Any]
 
@@ -126,6 +131,41 @@ class IdleEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         pass
+
+
+def run_rows(config: dict[str, Any]) -> Iterator[Row]:
+    """What an environment's step costs with the rows of ``candidate`` and of ``lookahead``, for the same actions: those
+    of an untrained look-ahead network, and now and then a random one."""
+    for _, batch, scenario, steps in batches(config, COLLECTED):
+        simulator = Simulator(scenario.replace(mask="feasible", admission_control=True), batch)
+        load_networks(simulator, config["loaded_slot"])
+        parts = {"candidate": CandidateObservation(), "lookahead": LookaheadObservation(),
+                 "lookahead, bounds": LookaheadObservation(exact=False)}  # fmt: skip
+        player = LookaheadPlay(LookaheadNetwork(Sizes.of(simulator)))
+        player.prepare(simulator)
+        seconds = dict.fromkeys(["step", *parts], 0.0)
+        rng = np.random.default_rng(0)
+        for step in range(steps + WARM_UP):
+            if step == WARM_UP:
+                seconds = dict.fromkeys(seconds, 0.0)
+            for name, part in parts.items():
+                begun = time.process_time()
+                part.read(simulator)
+                seconds[name] += time.process_time() - begun
+            actions = player.choose(simulator)[0]
+            for b in np.flatnonzero(rng.random(batch) < EXPLORED):
+                actions[b] = rng.choice(simulator.world.seen.valid[b, : simulator.world.env["mask_count"][b]])
+            begun = time.process_time()
+            simulator.step(actions)
+            seconds["step"] += time.process_time() - begun
+        spent = {name: 1e6 * (seconds["step"] + seconds[name]) / (steps * batch) for name in parts}
+        yield {
+            "N": simulator.tables.num_nodes[0],
+            "B": batch,
+            **{f"us a step, {name}": value for name, value in spent.items()},
+            "lookahead over candidate": spent["lookahead"] / spent["candidate"],
+            "VM use after": vm_use(simulator),
+        }
 
 
 def run_methods(config: dict[str, Any]) -> Iterator[Row]:

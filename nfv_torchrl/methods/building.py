@@ -54,6 +54,7 @@ CLASSES: Mapping[str, Mapping[str, type]] = {
         networks.DuelingNetwork,
         networks.GRUNetwork,
         networks.ImplicitQuantileNetwork,
+        networks.LookaheadNetwork,
         networks.MLPNetwork,
         networks.MenuNetwork,
         PriceNetwork,

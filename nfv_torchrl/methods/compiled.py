@@ -14,9 +14,10 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses.actors import scorer
 from nfv_torchrl.methods.base import Method
 from nfv_torchrl.methods.candidate_play import CandidatePlay, is_highest
+from nfv_torchrl.methods.lookahead_play import LookaheadPlay
 from nfv_torchrl.methods.policy import PolicyMethod
 from nfv_torchrl.methods.watching import EVERY, MOST, Watch
-from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, QNetwork
+from nfv_torchrl.networks import CandidateNetwork, LookaheadNetwork, MLPNetwork, QNetwork
 from nfv_torchrl.networks.compiled import compiled_perceptron, outputs_of
 from nfv_torchrl.search.playing import has_room
 from nfv_torchrl.simulator import Simulator
@@ -61,6 +62,53 @@ class CompiledCandidates:
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
         """See ``Method``."""
         self._play.prepare(simulator.world)
+        self._play.choose(simulator)  # the first call may compile
+        self.watch.clear()
+
+    def act(self, simulator: Simulator) -> np.ndarray:
+        """See ``Method``."""
+        actions, values = self._play.choose(simulator)
+        if self.watch.due():
+            self.watch.add(values[simulator.world.env["done"] == 0])
+        return actions
+
+
+class CompiledLookahead:
+    """A ``LookaheadNetwork`` as a method that takes the valid action of the highest value, compiled.
+
+    The same choice as that of ``PolicyMethod`` with ``greedy_actor``, but for values that agree to within rounding. The
+    weights are those at the time it is made.
+
+    Args:
+        network: what decides.
+        name: see ``PolicyMethod``.
+        mask: see ``PolicyMethod``.
+        decides_admission: see ``PolicyMethod``.
+
+    Attributes:
+        watch: some of the values that decided in the last run; they are less V.
+
+    Raises:
+        ScenarioError: a network that ``LookaheadPlay`` does not take.
+    """
+
+    one_hot = False
+
+    def __init__(
+        self,
+        network: LookaheadNetwork,
+        *,
+        name: str = "policy",
+        mask: str | None = None,
+        decides_admission: bool = False,
+    ) -> None:
+        self.name, self.mask, self.decides_admission = name, mask, decides_admission
+        self._play = LookaheadPlay(network)
+        self.watch = Watch()
+
+    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
+        """See ``Method``."""
+        self._play.prepare(simulator)
         self._play.choose(simulator)  # the first call may compile
         self.watch.clear()
 
@@ -190,4 +238,7 @@ def acting_method(actor: Any, network: QNetwork, *, one_hot: bool, **options: An
             return CompiledCandidates(network, **options)
         except ScenarioError:  # noise, several outputs or another activation: torch can do them
             pass
+    if isinstance(actor, QValueActor) and isinstance(network, LookaheadNetwork):
+        with contextlib.suppress(ScenarioError):
+            return CompiledLookahead(network, **options)
     return PolicyMethod(actor, network.observations(), one_hot=one_hot, **options)

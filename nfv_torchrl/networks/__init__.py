@@ -6,6 +6,7 @@ from nfv_torchrl.networks.dueling import DuelingNetwork
 from nfv_torchrl.networks.gru import GRUNetwork
 from nfv_torchrl.networks.implicit import ImplicitQuantileNetwork
 from nfv_torchrl.networks.layers import NoisyLinear
+from nfv_torchrl.networks.lookahead import LookaheadNetwork
 from nfv_torchrl.networks.menu import MenuNetwork
 from nfv_torchrl.networks.mlp import MLPNetwork
 
@@ -14,6 +15,7 @@ __all__ = [
     "DuelingNetwork",
     "GRUNetwork",
     "ImplicitQuantileNetwork",
+    "LookaheadNetwork",
     "MLPNetwork",
     "MenuNetwork",
     "NetworkFactory",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from tensordict import TensorDict
@@ -21,6 +21,15 @@ class ObservationPart(Protocol):
 
     def read(self, simulator: Simulator) -> dict:
         """The present value of every key, in tensors that later steps do not write into."""
+        ...
+
+
+@runtime_checkable
+class KnowingPart(Protocol):
+    """A part that knows more of the request in hand than the simulator's outcome says."""
+
+    def known(self) -> Mapping[str, Any]:
+        """Float64 [B] by name, for rewards: of the requests that were in hand at the last ``read``."""
         ...
 
 

@@ -39,18 +39,26 @@ class PricedScratch(NamedTuple):
 @kernel
 def fill_prices(world, b, rule, prices):
     """Fill ``Prices`` from what VMs and links of environment b offer."""
-    tables, ledger, net = world.tables, world.ledger, world.env[b].net
+    raise_prices(
+        world.tables, world.env[b].net, rule, (world.ledger.vm_offered[b], world.ledger.link_offered[b]), prices
+    )
+
+
+@part
+def raise_prices(tables, net, rule, offers, prices):
+    """The same for the network in row ``net``, from ``offers``: int64 [N, V, R] of VMs and [L] of links."""
+    vm_offered, link_offered = offers
     scale = rule.price / (rule.steepness - 1.0)
     rise = np.log(rule.steepness)
     for node in range(tables.num_nodes[net]):
         for vm in range(tables.vm_count[net, node]):
             for kind in range(tables.vm_capacity.shape[3]):
-                used = 1.0 - ledger.vm_offered[b, node, vm, kind] / tables.vm_capacity[net, node, vm, kind]
+                used = 1.0 - vm_offered[node, vm, kind] / tables.vm_capacity[net, node, vm, kind]
                 own = scale if kind == 0 else scale * kind_scale(tables, net, kind)
                 unit_cost = tables.vm_unit_cost[net, node, vm, kind]
                 prices.vm[node, vm, kind] = unit_cost + own * (np.exp(rise * used) - 1.0)
     for link in range(tables.num_links[net]):
-        used = 1.0 - ledger.link_offered[b, link] / tables.link_capacity[net, link]
+        used = 1.0 - link_offered[link] / tables.link_capacity[net, link]
         prices.link[link] = tables.link_unit_cost[net, link] + scale * (np.exp(rise * used) - 1.0)
 
 

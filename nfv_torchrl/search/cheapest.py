@@ -116,7 +116,7 @@ def plan_within(world, b, prices, limit, scratch, plan):
     problem = make_problem(world, b, prices)
     scratch.result[:] = np.inf
     scratch.labels.limit[0] = limit
-    steps = _cheapest_walk(problem, scratch)
+    steps = cheapest_walk(problem, scratch)
     if steps <= 0:
         return steps
     encode_walk(scratch.walk, steps, problem.vm_offered.shape[1], plan)
@@ -126,7 +126,7 @@ def plan_within(world, b, prices, limit, scratch, plan):
 
 
 @part
-def _cheapest_walk(problem, scratch):
+def cheapest_walk(problem, scratch):
     """Steps of the best walk, written to ``scratch.walk``.
 
     The walk that is cheapest without delay limit and without counting repeated use is a by-product of the bounds; if
@@ -151,7 +151,23 @@ def _cheapest_walk(problem, scratch):
         scratch.rounds[0] += 1
         return steps
     fill_delay_to_go(problem, scratch.delay)
-    search = Search(problem, scratch.cost.value, scratch.delay.value, scratch.labels, critical)
+    return _search_labels(
+        problem, scratch, Search(problem, scratch.cost.value, scratch.delay.value, scratch.labels, critical)
+    )
+
+
+@part
+def cheapest_walk_within(problem, scratch, cost_to_go, delay_to_go):
+    """``cheapest_walk`` where bounds are known already: float64 [F + 1, N], $ and ms, never above what it takes."""
+    if problem.ingress >= 0 and cost_to_go[0, problem.ingress] == np.inf:
+        return 0
+    begin_request(problem, scratch.critical)
+    return _search_labels(problem, scratch, Search(problem, cost_to_go, delay_to_go, scratch.labels, scratch.critical))
+
+
+@part
+def _search_labels(problem, scratch, search):
+    """Steps of the best walk by label searches, each with the resources that the walk before overused."""
     searches = 0
     while True:
         searches += 1
@@ -165,7 +181,7 @@ def _cheapest_walk(problem, scratch):
             scratch.rounds[min(searches, 3)] += 1
             return steps
         if problem.distinct and searches >= ROUNDS_OF_SOME:
-            critical.nodes[:] = ~np.uint64(0)
+            scratch.critical.nodes[:] = ~np.uint64(0)
 
 
 @part

@@ -73,16 +73,16 @@ def fill_delay_to_go(problem, to_go):
 
 @part
 def _fill(problem, to_go, by_delay):
-    _weigh_places(problem, to_go, by_delay)
+    weigh_places(problem, to_go, by_delay)
     for i in range(problem.functions, -1, -1):
         if i == problem.functions or not problem.one_rate:
-            _weigh_links(problem, to_go, i, by_delay)
-        _seed_layer(problem, to_go, i)
-        _relax_layer(problem, to_go, i)
+            weigh_links(problem, to_go, i, by_delay)
+        seed_layer(problem, to_go, i)
+        relax_layer(problem, to_go, i)
 
 
 @inlined
-def _weigh_places(problem, to_go, by_delay):
+def weigh_places(problem, to_go, by_delay):
     """The best VM of each node for each function."""
     for node in range(problem.nodes):
         for i in range(problem.functions):
@@ -97,7 +97,7 @@ def _weigh_places(problem, to_go, by_delay):
 
 
 @inlined
-def _weigh_links(problem, to_go, i, by_delay):
+def weigh_links(problem, to_go, i, by_delay):
     """What segment ``i`` takes on each link."""
     for link in range(problem.links):
         weight = hop_delay(problem, link, i) if by_delay else hop_cost(problem, link, i)
@@ -116,7 +116,7 @@ def best_start(problem, to_go):
 
 
 @inlined
-def _seed_layer(problem, to_go, i):
+def seed_layer(problem, to_go, i):
     """Weights of walks that place function ``i`` with their very next step into (or on) a node."""
     for node in range(problem.nodes):
         to_go.value[i, node] = np.inf
@@ -135,7 +135,7 @@ def _seed_layer(problem, to_go, i):
 
 
 @inlined
-def _relax_layer(problem, to_go, i):
+def relax_layer(problem, to_go, i):
     """Label-correcting search with a first-in first-out queue: most nodes enter it once."""
     nodes = problem.nodes
     head, waiting = 0, 0

@@ -90,6 +90,14 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class DqnHeldOut(HeldOut):
+    """Also ``count`` random ``networks`` on which the best policy is chosen; null: it is chosen on the scenario's."""
+
+    networks: Networks | None
+    count: Count
+
+
+@dataclass(frozen=True)
 class Saving:
     """Checkpoints; ``keep``: how many of the newest stay."""
 
@@ -159,7 +167,7 @@ class DqnSettings(Run):
     buffer: Buffer
     learner: Learner
     logger: Logger
-    eval: HeldOut
+    eval: DqnHeldOut
     saving: Saving
 
     def __post_init__(self) -> None:
@@ -507,7 +515,9 @@ class BenchmarkSettings:
 
     scenario: ScenarioKeys
     method: Methods
-    parts: tuple[Annotated[str, OneOf("kernel", "env", "collector", "gym", "training", "methods", "memory")], ...]
+    parts: tuple[
+        Annotated[str, OneOf("kernel", "env", "collector", "rows", "gym", "training", "methods", "memory")], ...
+    ]
     nodes: Annotated[tuple[Nodes, ...], Some]
     batch_sizes: Annotated[tuple[Count, ...], Some]
     arrivals_per_node: Positive | None

@@ -23,6 +23,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.values import list_of_seeds
 from nfv_torchrl.simulator.reasons import REASON_NAMES
 from nfv_torchrl.training.finite import check_weights
+from nfv_torchrl.training.held_out import HeldOut
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.page import standing, what_you_see
 from nfv_torchrl.training.progress import Progress
@@ -51,8 +52,8 @@ def evaluate_policy(
     ``method`` makes what acts by the loss's actor as it is now: by default ``fastest_method``. No random number of the
     training is drawn, so that how often a run is evaluated changes nothing of what it learns.
 
-    Best means the highest AAR; among equals the lowest cost per accepted request. The untrained policy (frame 0) is
-    never kept.
+    Best means the highest AAR; among equals the lowest cost per accepted request. With ``eval.networks`` it means the
+    highest score on those networks (``HeldOut``). The untrained policy (frame 0) is never kept.
 
     Raises:
         TrainingError: weights are not finite; ``best.pt`` stays.
@@ -66,6 +67,7 @@ def evaluate_policy(
     values = _tags(scores, records, acting)
     if references is not None:
         values |= _compare(references, records, logger, frames)
+    values |= (held_out := _held_out(logger, config, acting))
     values["speed/evaluation_seconds"] = time.perf_counter() - begun
     logger.scalars(values, frames)
     logger.scalars(_stacked(scores, logger), frames)
@@ -76,7 +78,15 @@ def evaluate_policy(
     if config["logger"]["figures"]:
         draw_pictures(records[0], references, logger, frames)
     if frames:
-        _keep_best(loss, scenario, sizes, config, folder, progress, scores)
+        _keep_best(loss, scenario, sizes, config, folder, progress, scores, held_out)
+
+
+def _held_out(logger: RunLogger, config: Mapping[str, Any], acting: Method) -> dict[str, float]:
+    """Scores on the networks of ``eval.networks``, by tag; what they are compared with is computed once."""
+    if not logger.held_out:
+        logger.held_out = [HeldOut.of(config)]
+    found = logger.held_out[0]
+    return {} if found is None else {f"eval/{name}": value for name, value in found.scores(acting).items()}
 
 
 def _references(logger: RunLogger, folder: RunFolder, scenario: Scenario, seeds: Sequence[int]) -> References:
@@ -198,9 +208,14 @@ def _keep_best(
     folder: RunFolder,
     progress: Progress,
     scores: Mapping[str, float],
+    held_out: Mapping[str, float],
 ) -> None:
     aar, cost = scores["aar"], scores["cost_per_accepted"]
+    if held_out:
+        aar, cost = held_out["eval/held_out_score"], held_out["eval/held_out_paired_cost"]
     if (aar, -cost) > (progress.best_aar, -progress.best_cost):
         progress.best_aar, progress.best_cost, progress.best_frames = aar, cost, progress.frames
-        content = policy_content(loss, sizes, config, scenario, {"aar": aar, "cost_per_accepted": cost})
+        known = {name: scores[name] for name in ("aar", "cost_per_accepted")}
+        known |= {tag.removeprefix("eval/"): value for tag, value in held_out.items()}
+        content = policy_content(loss, sizes, config, scenario, known)
         folder.save_best(content)

@@ -23,6 +23,7 @@ from nfv_torchrl.training.setup import job_name
 from nfv_torchrl.training.window import TrainingWindow
 
 if TYPE_CHECKING:
+    from nfv_torchrl.training.held_out import HeldOut
     from nfv_torchrl.training.references import References
     from nfv_torchrl.training.run import RunFolder
 
@@ -92,6 +93,7 @@ class RunLogger(EventLog):
 
     Attributes:
         references: what the agent is compared with, once that is known.
+        held_out: once that is known, networks on which the best policy is chosen, or None.
         apart: whether its lines are in event files of their own, in folders below that of the run: TensorBoard gives
             them colours and names of their own. The many runs of a sweep have them among their own series.
     """
@@ -105,6 +107,7 @@ class RunLogger(EventLog):
         self._beside: dict[str, SummaryWriter] = {}
         self._purge, self._path = purge, folder.path
         self.references: References | None = None
+        self.held_out: list[HeldOut | None] = []
         folder.carry("logged", self.series)
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:

@@ -71,8 +71,12 @@ def tight_case(seed: int, colocation: bool) -> Case:
     return Case(tables, rules, vm_offered, link_offered, 0, ingress, egress)
 
 
-def cheapest_by_trying(case: Case) -> float:
-    """Cost of the cheapest walk the step checks let through, inf if there is none: depth first over all walks."""
+def cheapest_by_trying(case: Case, begin: tuple[tuple[int, int, bool], ...] = ()) -> float:
+    """Cost of the cheapest walk the step checks let through, inf if there is none: depth first over all walks.
+
+    ``begin``: (node, VM, whether a function is placed) of its first steps; of a step that only forwards the VM is
+    nothing.
+    """
     tables, rules = case.tables, case.rules
     rate_units, rate = int(tables.rate_units[case.service, 0]), float(tables.rate[case.service, 0])
     chain = int(tables.chain_length[case.service])
@@ -102,7 +106,10 @@ def cheapest_by_trying(case: Case) -> float:
             moves = [(there, link, (True, False)) for there, link in around[node]]
             if rules.colocation:
                 moves.append((node, -1, (True,)))
+        set_step = begin[steps] if steps < len(begin) else None
         for there, link, choices in moves:
+            if set_step is not None and there != set_step[0]:
+                continue
             hop_cost, hop = 0.0, 0.0
             if link >= 0:
                 if links[link] < rate_units:
@@ -110,11 +117,15 @@ def cheapest_by_trying(case: Case) -> float:
                 hop_cost, hop = float(tables.link_unit_cost[0, link]) * rate, hop_delay[link]
                 links[link] -= rate_units
             for place in choices:
+                if set_step is not None and place != set_step[2]:
+                    continue
                 if not place:
                     if delay + hop <= budget:
                         walk(there, i, delay + hop, cost + hop_cost, steps + 1)
                     continue
                 for vm in range(int(tables.vm_count[0, there])) if i < chain else ():
+                    if set_step is not None and vm != set_step[1]:
+                        continue
                     took = 1000.0 * load[i] / float(tables.vm_speed[0, there, vm])
                     if vms[there][vm] < load_units[i] or delay + (hop + took) > budget:
                         continue

@@ -51,6 +51,15 @@ CHOICES = {
         "segment=5",
         *TINY_TRAINING,
     ],
+    "lookahead": [
+        "preset=lookahead",
+        "networks.nodes=[5,7]",
+        "networks.arrival_rate=[4]",
+        "eval.networks.nodes=[5,7]",
+        "eval.count=2",
+        "segment=5",
+        *TINY_TRAINING,
+    ],
     "plans by quantiles": ["env=plans", "network=mlp", "loss=distributional"],
     "networks": ["network=candidate", "networks=random", "networks.nodes=[5,7]", "networks.arrival_rate=[4]"],
 }
