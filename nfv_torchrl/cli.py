@@ -19,6 +19,7 @@ NETWORK_COMMANDS = {
     "convert": "a network file as JSON, its demands as CSV: nfv-torchrl convert my_network.gml my_network.json",
     "scan": "which of many network files can be read: nfv-torchrl scan my_folder topohub:sndlib",
 }
+SCORE = "score decisions of any program on a benchmark: nfv-torchrl score decisions.jsonl --manifest M.json --run NAME"
 
 
 def recipes_folder() -> Path:
@@ -99,8 +100,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for command, help in NETWORK_COMMANDS.items():
         networks = commands.add_parser(command, help=help, add_help=False)
         networks.add_argument("arguments", nargs=argparse.REMAINDER)
+    commands.add_parser("score", help=SCORE, add_help=False).add_argument("arguments", nargs=argparse.REMAINDER)
     given = parser.parse_args(arguments)
     try:
+        if given.command == "score":
+            os.execv(sys.executable, [sys.executable, "-m", "nfv_torchrl.evaluation.score", *given.arguments])
         if given.command in NETWORK_COMMANDS:
             use_network_files(given.command, given.arguments)
         elif given.command == "list":

@@ -373,6 +373,35 @@ class TransferSettings:
 
 
 @dataclass(frozen=True)
+class NetworkAtLoads:
+    """A network of ``field``: overrides of evaluate.py, in which LOAD stands for each of ``loads``."""
+
+    loads: Annotated[tuple[Positive, ...], Some]
+    overrides: Overrides
+
+
+@dataclass(frozen=True)
+class FieldSettings:
+    """See ``config/field.yaml``."""
+
+    method: Methods
+    parallel: Parallel
+    title: str
+    axis: str
+    common: Overrides
+    draws: bool
+    places: dict[str, NetworkAtLoads]
+    published: tuple[dict[str, Any], ...]
+    seeds: Count
+    bounds: bool
+    reference: str
+    only: Overrides | None
+    overrides: Overrides
+    freeze: str | None
+    output: str
+
+
+@dataclass(frozen=True)
 class Load:
     """lambda and mu."""
 

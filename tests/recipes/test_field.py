@@ -1,0 +1,38 @@
+"""The field's benchmark, for real at tiny size: its table, picture and manifest."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+from inprocess import call
+
+pytest.importorskip("topohub", reason="the networks of set=traffic are TopoHub's")
+
+
+def test_it_compares_pairs_and_freezes(tmp_path, capsys):
+    output, manifest = tmp_path / "out", tmp_path / "traffic.json"
+    published = "published=[{place: abilene, load: 2, method: theirs, aar: 0.5, source: 'a paper'}]"
+    call(
+        "field", "set=traffic", "only=[abilene]", "seeds=2", "method=[greedy,myopic_optimal]", "parallel.jobs=1",
+        "places.abilene.loads=[2]", "overrides=['scenario.horizon=20','scenario.arrival_rate=4']", published,
+        f"output={output}", f"freeze={manifest}",
+    )  # fmt: skip
+    with (output / "field.csv").open() as file:
+        rows = {(row["method"], row["metric"], row["reference"]): row for row in csv.DictReader(file)}
+    aar = {name: float(rows[name, "aar", ""]["mean"]) for name in ("greedy", "myopic_optimal", "bound: hindsight")}
+    assert (
+        0 < aar["greedy"] <= aar["bound: hindsight"] + 1e-9 and aar["myopic_optimal"] <= aar["bound: hindsight"] + 1e-9
+    )
+    difference = rows["greedy", "aar_difference", "myopic_optimal"]
+    assert float(difference["mean"]) == pytest.approx(aar["greedy"] - aar["myopic_optimal"])
+    assert rows["theirs", "aar", ""]["source"] == "a paper" and rows["theirs", "aar", ""]["ci_low"] == "nan"
+    assert "theirs" in capsys.readouterr().out and (output / "field.png").stat().st_size > 0
+
+    runs = json.loads(manifest.read_text())["runs"]
+    assert list(runs) == ["abilene-2-seed_0", "abilene-2-seed_1"]
+    assert [run["scenario"]["seed"] for run in runs.values()] == [0, 1]
+    assert runs["abilene-2-seed_1"]["rows"]["greedy"]["aar"] <= 1
+    mean = sum(run["rows"]["greedy"]["aar"] for run in runs.values()) / 2
+    assert mean == pytest.approx(aar["greedy"])
