@@ -149,10 +149,10 @@ def field_table(title: str, rows: Rows, reference: str, axis: str) -> Table:
     shown = {(metric, ""): MEASURES[metric] for metric in measures}
     shown |= {("aar_difference", reference): "+.4f", ("paired_cost", reference): ".3f"}
     table = [
-        (f"{network}, {axis} {load:g}", method, *(_shown(found.get(key), form) for key, form in shown.items()))
+        (f"{network}, {load:g} {axis}: {method}", *(_shown(found.get(key), form) for key, form in shown.items()))
         for (network, load, method), found in ordered
     ]
-    columns = ("where", "method", *(heads[metric] for metric in measures), f"difference to {reference}", "paired cost")
+    columns = ("", *(heads[metric] for metric in measures), f"to {reference}", "paired cost")
     return Table(title, columns, tuple(table))
 
 

@@ -117,13 +117,19 @@ class _Counted:
         self.method = method
         self.name, self.mask, self.one_hot = method.name, method.mask, method.one_hot
         self.decides_admission = method.decides_admission
+        self._batches: list[np.ndarray] = []
+
+    @property
+    def frames(self) -> np.ndarray:
+        """Of all batches, one after the other, int64 [S]."""
+        return np.concatenate(self._batches)
 
     def prepare(self, simulator: Simulator, seeds: Any) -> None:
         self.method.prepare(simulator, seeds)
-        self.frames = np.zeros(simulator.batch_size, np.int64)
+        self._batches.append(np.zeros(simulator.batch_size, np.int64))
 
     def act(self, simulator: Simulator) -> np.ndarray:
-        self.frames += simulator.world.env["done"] == 0
+        self._batches[-1] += simulator.world.env["done"] == 0
         return self.method.act(simulator)
 
 
