@@ -46,8 +46,8 @@ def home(tmp_path_factory) -> Path:
 
 
 def call(home: Path, command: str, *arguments: str) -> str:
-    """What a command of the environment prints."""
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    """What a command of the environment prints. Compiling everything anew would take most of the time."""
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"} | {"NUMBA_DISABLE_JIT": "1"}
     line = [str(home / "env" / "bin" / command), *arguments]
     done = subprocess.run(line, cwd=home, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr

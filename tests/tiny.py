@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from forked import run_forked
+
 ROOT = Path(__file__).resolve().parents[1]
 TINY_SCENARIO = [
     "scenario.substrate.nodes=5",
@@ -36,9 +38,7 @@ def command(recipe: str, *overrides: str) -> list[str]:
 
 def run(recipe: str, *overrides: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run a recipe to its end and return what it printed."""
-    return subprocess.run(
-        command(recipe, *overrides), cwd=cwd, capture_output=True, text=True, timeout=300, check=False
-    )
+    return run_forked(ROOT / "recipes" / recipe, overrides, cwd, timeout=300)
 
 
 def train(run_dir: Path, *overrides: str) -> subprocess.CompletedProcess[str]:

@@ -1,0 +1,48 @@
+"""Recipes in processes forked from one that has imported everything, which takes longer than most tiny runs."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from multiprocessing import get_context
+from pathlib import Path
+
+SERVER = get_context("forkserver")
+SERVER.set_forkserver_preload(["forked_imports"])
+
+
+def run_forked(script: Path, arguments: Sequence[str], cwd: Path | None, timeout: float) -> subprocess.CompletedProcess:
+    """What ``subprocess.run([python, script, *arguments], capture_output=True, text=True)`` returns.
+
+    The process has its own output, arguments, working folder and exit code. What a real start of Python does beside is
+    not tried here: tests that send signals or look for litter start their own.
+    """
+    with tempfile.TemporaryDirectory(prefix="forked_") as folder:
+        out, err = Path(folder, "out"), Path(folder, "err")
+        process = SERVER.Process(target=_become, args=(str(script), [*arguments], str(cwd or Path.cwd()), out, err))
+        process.start()
+        process.join(timeout)
+        if process.exitcode is None:
+            process.kill()
+            raise subprocess.TimeoutExpired([str(script), *arguments], timeout, out.read_bytes(), err.read_bytes())
+        command = [sys.executable, str(script), *arguments]
+        return subprocess.CompletedProcess(command, process.exitcode, out.read_text(), err.read_text())
+
+
+def _become(script: str, arguments: Sequence[str], cwd: str, out: Path, err: Path) -> None:
+    os.chdir(cwd)
+    for number, path in ((1, out), (2, err)):
+        written = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        os.dup2(written, number)
+        os.close(written)
+    sys.stdout, sys.stderr = (open(number, "w", closefd=False) for number in (1, 2))  # noqa: SIM115
+    sys.argv = [script, *arguments]
+    try:
+        runpy.run_path(script, run_name="__main__")
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
