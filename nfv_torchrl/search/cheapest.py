@@ -35,8 +35,8 @@ from nfv_torchrl.simulator.tables import Tables
 
 POOL = 4096
 COLUMNS = 8
-ROUNDS_OF_SOME = 3
-"""Label searches in which functions must not meet on some nodes, before they must not on any."""
+ROUNDS_OF_SOME = 40
+"""Label searches in which walks remember some nodes with a function on some nodes, before they remember all on all."""
 
 
 @by_reference

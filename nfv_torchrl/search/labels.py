@@ -2,10 +2,11 @@
 
 A label is a walk from the ingress. One label dominates another at the same node and function when it is no worse in
 cost and delay and leaves at least as much of every *critical* resource, one that an earlier round of the search was
-found to have used beyond what is offered. Where functions may not share a node, nodes are such resources. With no
-critical resource that is the usual shortest path problem with a
+found to have used beyond what is offered. With no critical resource that is the usual shortest path problem with a
 resource constraint; adding resources only where they were overused keeps the search small and exact (decremental state
-space relaxation, Righini and Salani 2008).
+space relaxation, Righini and Salani 2008). Where functions may not share a node, a walk remembers the nodes with a
+function that it comes back to only as long as it is on the nodes that led back (dynamic ng-routes, Roberti and Mingozzi
+2014); what it forgets is found out and remembered in the next round.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Critical(NamedTuple):
     used: np.ndarray  # int64 [N * V * R + L], scratch, all zero between uses
     tail: np.ndarray  # int64 [F + 1, R], ledger units that the functions from i on take together
     link_tail: np.ndarray  # int64 [F + 1], most that a link can be asked for once i functions are placed
-    nodes: np.ndarray  # uint64 [W], one bit a node: those where functions of a request must not meet
+    nodes: np.ndarray  # uint64 [N, W], one bit a node: those with a function that a walk on a node remembers
 
 
 @by_reference
@@ -67,7 +68,7 @@ class Labels(NamedTuple):
     following: np.ndarray  # int64 [P], next label of the same list
     alive: np.ndarray  # bool [P]
     usage: np.ndarray  # int64 [P, C], ledger units taken of the critical resources
-    nodes: np.ndarray  # uint64 [P, W], one bit a node: those with a function; kept with ``distinct`` only
+    nodes: np.ndarray  # uint64 [P, W], one bit a node: those with a function it remembers; with ``distinct`` only
     first: np.ndarray  # int64 [F + 1, N], head of a list, -1: empty
     heap_key: np.ndarray  # float64 [P]
     heap_label: np.ndarray  # int64 [P]
@@ -85,7 +86,7 @@ def make_critical(shape: tuple[int, int, int], links: int, functions: int, colum
         used=np.zeros(resources, np.int64),
         tail=np.zeros((functions + 1, shape[2]), np.int64),
         link_tail=np.zeros(functions + 1, np.int64),
-        nodes=np.zeros(_words(shape[0]), np.uint64),
+        nodes=np.zeros((shape[0], _words(shape[0])), np.uint64),
     )
 
 
@@ -211,12 +212,13 @@ def _mark(problem, critical, resource, outcome):
 
 @part
 def _mark_nodes(walk, steps, critical):
-    """Make nodes critical on which the walk places more than one function; whether there were any."""
+    """Have nodes on which the walk places two functions remembered on the way between them; whether there were any."""
     found = False
     for j in range(steps):
         for k in range(j):
             if walk.vm[j] >= 0 and walk.vm[k] >= 0 and walk.node[j] == walk.node[k]:
-                critical.nodes[walk.node[j] // 64] |= _bit(walk.node[j])
+                for m in range(k, j):
+                    critical.nodes[walk.node[m], walk.node[j] // 64] |= _bit(walk.node[j])
                 found = True
     return found
 
@@ -353,16 +355,18 @@ def _open(search, parent, node, link, vm):
 
 @inlined
 def _meet(search, parent, label, node, vm):
-    """Note the nodes with a function; False if two of them meet on a node where that counts."""
-    labels = search.labels
-    for word in range(labels.nodes.shape[1]):
-        labels.nodes[label, word] = labels.nodes[parent, word]
-    if vm < 0:
-        return True
+    """Remember nodes with a function; False if a second one is put on a node that is remembered.
+
+    What is forgotten on the way only adds walks that are none, so that the cheapest stays a bound until it is one.
+    """
+    labels, remembered = search.labels, search.critical.nodes
     word, bit = node // 64, _bit(node)
-    if labels.nodes[parent, word] & search.critical.nodes[word] & bit:
+    if vm >= 0 and labels.nodes[parent, word] & bit:
         return False
-    labels.nodes[label, word] |= bit
+    for w in range(labels.nodes.shape[1]):
+        labels.nodes[label, w] = labels.nodes[parent, w] & remembered[node, w]
+    if vm >= 0:
+        labels.nodes[label, word] |= bit & remembered[node, word]
     return True
 
 
@@ -423,7 +427,7 @@ def _dominates(search, a, b):
     placed = labels.placed[a]
     if problem.distinct and placed < problem.functions:
         for word in range(labels.nodes.shape[1]):
-            if labels.nodes[a, word] & ~labels.nodes[b, word] & critical.nodes[word]:
+            if labels.nodes[a, word] & ~labels.nodes[b, word]:
                 return False
     for c in range(critical.tracked[0]):
         if labels.usage[a, c] > labels.usage[b, c]:
