@@ -22,6 +22,8 @@ from nfv_torchrl.gym import NFVGymEnv
 from nfv_torchrl.gym.plans import PlanGymEnv, PlanVectorEnv
 from nfv_torchrl.losses import greedy_actor
 from nfv_torchrl.methods import PlannerMethod
+from nfv_torchrl.methods.base import WholePlay
+from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import MenuNetwork, MLPNetwork
 from nfv_torchrl.observations.menu import ROW, ROW_SERVICE, SERVICE, STATE, MenuShape
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
@@ -316,8 +318,11 @@ def test_the_compiled_policy_chooses_as_torch_does(form):
     assert planner._prices is not None
     compiled, slow = PlannerMethod(planner, name="compiled"), copy.copy(planner)
     slow._prices = None
-    records = [run_method(scenario, method, [0, 1]) for method in (compiled, PlannerMethod(slow, name="slow"))]
-    for one, other in zip(*records, strict=True):
+    whole = planner_method(planner, name="whole")  # a horizon in a call
+    assert isinstance(whole, WholePlay) and not isinstance(planner_method(slow, name="slow"), WholePlay)
+    records = [run_method(scenario, method, [0, 1]) for method in (compiled, whole, PlannerMethod(slow, name="slow"))]
+    for one, same, other in zip(*records, strict=True):
+        np.testing.assert_array_equal(one.cost, same.cost)
         assert (one.accepted == other.accepted).all() and (one.step_node == other.step_node).all()
         refused = one.reason == Reason.REJECTED_BY_POLICY
         assert 0 < one.accepted.mean() < 1 and refused.any()

@@ -41,3 +41,16 @@ class PlannerMethod:
             self.planner.plan_rows(simulator.world, fresh, self._plans, self._lengths)
         reject = simulator.num_actions - 1
         return np.where(steps < self._lengths, self._plans[self._rows, steps], reject)
+
+
+class PlannerPlay(PlannerMethod):
+    """The method of a planner with ``play``, which answers all requests of a horizon in one compiled call."""
+
+    def play(self, simulator: Simulator, b: int) -> None:
+        """See ``WholePlay``."""
+        self.planner.play(simulator, b)  # type: ignore[attr-defined]
+
+
+def planner_method(planner: Planner, *, name: str) -> PlannerMethod:
+    """``PlannerPlay`` for a planner that says it ``plays_whole``, ``PlannerMethod`` for any other."""
+    return (PlannerPlay if getattr(planner, "plays_whole", False) else PlannerMethod)(planner, name=name)

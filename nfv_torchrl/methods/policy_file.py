@@ -13,7 +13,7 @@ from nfv_torchrl.losses.actors import q_network
 from nfv_torchrl.methods.base import Method
 from nfv_torchrl.methods.building import building, factory
 from nfv_torchrl.methods.compiled import acting_method
-from nfv_torchrl.methods.planned import PlannerMethod
+from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import MASKS, Scenario
 from nfv_torchrl.simulator import Simulator
@@ -137,7 +137,7 @@ def load_policy(
         return module.eval().method(name)
     module.actor.eval()
     if planner:
-        return PlannerMethod(planner.follow(module.actor), name=name)
+        return planner_method(planner.follow(module.actor), name=name)
     return acting_method(
         module.actor,
         network,

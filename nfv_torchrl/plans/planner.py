@@ -18,13 +18,15 @@ from nfv_torchrl.losses.actors import scorer
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.networks.compiled import CompiledPerceptron, compiled_perceptron, score_row
 from nfv_torchrl.networks.menu import MenuNetwork
-from nfv_torchrl.observations.menu import FACTORS, ROW, STATE, MenuShape
+from nfv_torchrl.observations.menu import FACTORS, ROW, STATE, MenuShape, describe_menu
 from nfv_torchrl.planners.base import Planner
-from nfv_torchrl.planners.menu import LEVELS, STEEPNESS
+from nfv_torchrl.planners.menu import LEVELS, STEEPNESS, fill_menu, grow_menu_scratch
 from nfv_torchrl.plans.menus import Menus
+from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
+from nfv_torchrl.search.walks import OVERFLOW
 from nfv_torchrl.settings.values import AboveOne, NotNegative
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.simulator.compiled import kernel
+from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.state import World
 
 
@@ -38,28 +40,51 @@ class Prices(NamedTuple):
     w_cost: float
 
 
+@part
+def _choose_row(b, menu, flat, shape, prices):
+    """The walk of the highest value of environment b, or reject, the number after the last."""
+    net = prices.price
+    best, highest = np.int64(shape.rows), 0.0
+    for i in range(FACTORS, shape.state):
+        prices.x[i - FACTORS] = flat[b, i]
+    for k in range(shape.rows):
+        if not menu.mask[b, k]:
+            continue
+        first = shape.state + k * shape.row
+        for i in range(shape.row):
+            prices.x[shape.state - FACTORS + i] = flat[b, first + i]
+        price = np.float64(score_row(net.weights, net.sizes, net.activation, prices.x, net.now, net.after))
+        if prices.by_demand:
+            price *= np.float64(flat[b, STATE.demand]) * np.float64(flat[b, STATE.stay])
+        value = prices.w_acc - prices.w_cost * np.float64(flat[b, first + ROW.regret]) - price
+        if value >= highest and (value > highest or best == shape.rows):
+            best, highest = np.int64(k), value
+    return best
+
+
 @kernel
 def choose_rows(rows, menu, flat, shape, prices, choices):
     """Fill ``choices`` int64 [B] of the environments ``rows`` with the walk of the highest value, or with reject."""
-    net = prices.price
     for r in range(rows.size):
-        b = rows[r]
-        best, highest = np.int64(shape.rows), 0.0
-        for i in range(FACTORS, shape.state):
-            prices.x[i - FACTORS] = flat[b, i]
-        for k in range(shape.rows):
-            if not menu.mask[b, k]:
-                continue
-            first = shape.state + k * shape.row
-            for i in range(shape.row):
-                prices.x[shape.state - FACTORS + i] = flat[b, first + i]
-            price = np.float64(score_row(net.weights, net.sizes, net.activation, prices.x, net.now, net.after))
-            if prices.by_demand:
-                price *= np.float64(flat[b, STATE.demand]) * np.float64(flat[b, STATE.stay])
-            value = prices.w_acc - prices.w_cost * np.float64(flat[b, first + ROW.regret]) - price
-            if value >= highest and (value > highest or best == shape.rows):
-                best, highest = np.int64(k), value
-        choices[b] = best
+        choices[rows[r]] = _choose_row(rows[r], menu, flat, shape, prices)
+
+
+@kernel
+def play_priced_menus(world, b, own, view, menu, flat, shape, prices):
+    """Answer all requests of environment b by the walks of the highest value.
+
+    Returns FINISHED, NO_ROOM if the simulator's pools run low, or OVERFLOW if ``own`` must grow (then call again).
+    """
+    last = np.int64(shape.rows - 1)
+    while world.env[b].done == 0:
+        if not has_room(world, b):
+            return NO_ROOM
+        if fill_menu(world, b, own, menu) == OVERFLOW:
+            return OVERFLOW
+        describe_menu(world, b, view, menu, flat[b])
+        k = _choose_row(b, menu, flat, shape, prices)
+        play_plan(world, b, menu.steps[b, k] if k <= last else np.int64(0), menu.action[b, min(k, last)])
+    return FINISHED
 
 
 class MenuPlanner(Planner):
@@ -110,6 +135,26 @@ class MenuPlanner(Planner):
         walk = np.minimum(choices[rows], len(self.menus.level) - 1)
         plans[rows] = menu.action[rows, walk]
         lengths[rows] = np.where(choices[rows] == len(self.menus.level), 0, menu.steps[rows, walk])
+
+    @property
+    def plays_whole(self) -> bool:
+        """Whether ``play`` can be called: the policy is compiled."""
+        return self._prices is not None
+
+    def play(self, simulator: Simulator, b: int) -> None:
+        """Answer all requests of environment b, whose horizon has begun, as ``plan_rows`` does, in compiled calls."""
+        menus, tables = self.menus, simulator.tables
+        while True:
+            shape, prices = menus.shape(tables), self._prices
+            outcome = play_priced_menus(
+                simulator.world, b, menus.own, menus.view, menus.menu, menus.flat, shape, prices
+            )
+            if outcome == FINISHED:
+                return
+            if outcome == NO_ROOM:
+                simulator.make_room_for(b)
+            else:
+                menus.own = grow_menu_scratch(tables, menus.own)
 
     def _ask(self, rows: np.ndarray) -> np.ndarray:
         """What the actor chooses for the environments ``rows``."""

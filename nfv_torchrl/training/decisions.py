@@ -9,6 +9,7 @@ from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses import q_network
 from nfv_torchrl.methods import Method, PlannerMethod, fastest_method
+from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.nfvdeep import NFVdeepEnv, NFVdeepPlanner
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
@@ -123,4 +124,4 @@ class PlanDecisions:
 
     def method(self, loss: Any, *, one_hot: bool = False) -> Method:
         """How the policy being learned answers requests in an evaluation."""
-        return PlannerMethod(self.planner.follow(loss.actor), name="plans")
+        return planner_method(self.planner.follow(loss.actor), name="plans")
