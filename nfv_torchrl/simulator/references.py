@@ -54,8 +54,15 @@ class _Pointer(models.PrimitiveModel):
 
 @unbox(Reference)
 def _read(reference: Reference, python_object: Any, c: Any) -> NativeValue:
-    """The tuple's fields, put into the frame of what Python calls, which outlives the kernel."""
-    read = c.unbox(reference.target, python_object)
+    """The tuple's fields, put into the frame of what Python calls, which outlives the kernel.
+
+    No reference is counted, also not in code that counts: who calls holds the tuple, and nobody would give them back.
+    """
+    counts, c.context.enable_nrt = c.context.enable_nrt, False
+    try:
+        read = c.unbox(reference.target, python_object)
+    finally:
+        c.context.enable_nrt = counts
     address = cgutils.alloca_once_value(c.builder, read.value)
     return NativeValue(address, is_error=read.is_error, cleanup=read.cleanup)
 
