@@ -45,6 +45,7 @@ from nfv_torchrl.experiments.speed import (
     run_methods,
     run_rows,
 )
+from nfv_torchrl.experiments.worker_speed import run_workers
 from nfv_torchrl.files import read_json, write_atomically
 from nfv_torchrl.folders import claim_file
 from nfv_torchrl.progress_bar import ProgressBar
@@ -135,6 +136,7 @@ PARTS: dict[str, tuple[str, Callable[[dict[str, Any]], Iterator[Row]]]] = {
     "kernel": ("Kernel: random valid actions, mask and flat observation updated, one core", run_kernel),
     "env": ("NFVEnv: rollouts with a random masked policy", run_env),
     "collector": (f"Collector: random masked policy, {COLLECTED} steps a batch", run_collector),
+    "workers": ("Collectors of dqn.py: wall time, with the learner at rest", run_workers),
     "rows": ("Rows of candidate and of lookahead: an environment's step with them, the same actions", run_rows),
     "gym": ("Gymnasium: MaskablePPO of sb3-contrib, rollouts alone and learning", run_gym),
     "training": ("Training: recipes/dqn.py with its defaults", run_training),

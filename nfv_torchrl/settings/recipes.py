@@ -545,7 +545,8 @@ class BenchmarkSettings:
     scenario: ScenarioKeys
     method: Methods
     parts: tuple[
-        Annotated[str, OneOf("kernel", "env", "collector", "rows", "gym", "training", "methods", "memory")], ...
+        Annotated[str, OneOf("kernel", "env", "collector", "workers", "rows", "gym", "training", "methods", "memory")],
+        ...,
     ]
     nodes: Annotated[tuple[Nodes, ...], Some]
     batch_sizes: Annotated[tuple[Count, ...], Some]
