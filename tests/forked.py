@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import runpy
 import subprocess
@@ -44,5 +45,6 @@ def _become(script: str, arguments: Sequence[str], cwd: str, out: Path, err: Pat
     try:
         runpy.run_path(script, run_name="__main__")
     finally:
+        atexit._run_exitfuncs()  # multiprocessing leaves them out, and workers that nobody ends are waited for
         sys.stdout.flush()
         sys.stderr.flush()
