@@ -19,7 +19,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.evaluation.figures import csv_text, save_figure
+from nfv_torchrl.evaluation.figures import save_figure
 from nfv_torchrl.evaluation.score import freeze
 from nfv_torchrl.experiments.cells import CellStore
 from nfv_torchrl.experiments.computing import compute_shown
@@ -42,16 +42,14 @@ def main(cfg: DictConfig) -> None:
 
     there = [place for place in places if all(map(store.has, place.methods.values()))]
     rows = [row for place in there for row in place_rows(place, store, config["reference"])]
-    others = published_rows(config["published"], there)
+    rows += published_rows(config["published"], there)
     about = f"{config['title']}, {config['seeds']} seeds"
-    columns = {key: "" for row in others for key in row}  # of all rows, so that the file has one head
-    write_atomically(store.folder / "field.csv", csv_text([{**columns, **row} for row in rows + others]))
-    table = field_table(about, rows + others, config["reference"], config["axis"])
+    table = field_table(about, rows, config["reference"], config["axis"])
     write_atomically(store.folder / "field.md", table.markdown() + "\n")
     print(f"\n{table.text()}")
     if there:
         caption = "Mean over seeds and its 95 % interval; what others publish has none."
-        save_figure(field_figure(about, rows + others, config["axis"], caption), rows, store.folder / "field")
+        save_figure(field_figure(about, rows, config["axis"], caption), rows, store.folder / "field")
     if config["freeze"]:
         freeze(Path(config["freeze"]), config["title"], {k: run for place in there for k, run in runs_of(place, store)})
     print(f"\nTable, picture and cells: {store.folder}")

@@ -9,11 +9,25 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from multiprocessing import get_context
+from multiprocessing import forkserver, get_context
 from pathlib import Path
 
 SERVER = get_context("forkserver")
 SERVER.set_forkserver_preload(["forked_imports"])
+TESTS = Path(__file__).parent
+
+
+def _start_server() -> None:
+    """With this folder on its path, where it finds what it imports: it does not get ours."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(TESTS), *([before] if before else [])])
+    try:
+        forkserver.ensure_running()
+    finally:
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before
 
 
 def run_forked(script: Path, arguments: Sequence[str], cwd: Path | None, timeout: float) -> subprocess.CompletedProcess:
@@ -24,7 +38,9 @@ def run_forked(script: Path, arguments: Sequence[str], cwd: Path | None, timeout
     """
     with tempfile.TemporaryDirectory(prefix="forked_") as folder:
         out, err = Path(folder, "out"), Path(folder, "err")
-        process = SERVER.Process(target=_become, args=(str(script), [*arguments], str(cwd or Path.cwd()), out, err))
+        _start_server()
+        place = (str(cwd or Path.cwd()), dict(os.environ))
+        process = SERVER.Process(target=_become, args=(str(script), [*arguments], place, out, err))
         process.start()
         process.join(timeout)
         if process.exitcode is None:
@@ -34,8 +50,10 @@ def run_forked(script: Path, arguments: Sequence[str], cwd: Path | None, timeout
         return subprocess.CompletedProcess(command, process.exitcode, out.read_text(), err.read_text())
 
 
-def _become(script: str, arguments: Sequence[str], cwd: str, out: Path, err: Path) -> None:
-    os.chdir(cwd)
+def _become(script: str, arguments: Sequence[str], place: tuple[str, dict[str, str]], out: Path, err: Path) -> None:
+    os.chdir(place[0])
+    os.environ.clear()
+    os.environ.update(place[1])
     for number, path in ((1, out), (2, err)):
         written = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.dup2(written, number)

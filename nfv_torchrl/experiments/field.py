@@ -92,7 +92,8 @@ def scenario_config(recipes: Path, name: str, overrides: Sequence[str]) -> dict[
 def place_rows(place: Place, store: CellStore, reference: str) -> Rows:
     """One row for each number of a place: means over seeds with their intervals."""
     results = {key: store.read(cell) for key, cell in place.methods.items()}
-    about = {"network": place.name, "load": place.load, "rho": round(next(iter(results.values()))["rho"], 4)}
+    rho = round(next(iter(results.values()))["rho"], 4)
+    about = {"network": place.name, "load": place.load, "rho": rho, "source": ""}
     rows = []
     for key, result in results.items():
         runs = list(result["metrics"].values())

@@ -131,4 +131,4 @@ def test_noise_is_off_in_an_evaluation_and_back_after_it(tmp_path):
 def test_random_networks_need_a_network_of_any_size(tmp_path, capsys):
     with pytest.raises(SystemExit):
         train(tmp_path / "run", "networks=random", "networks.nodes=[5,7]", "networks.arrival_rate=[4]")
-    assert "set network=candidate" in capsys.readouterr().err
+    assert "set network=lookahead" in capsys.readouterr().err

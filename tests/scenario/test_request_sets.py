@@ -19,7 +19,7 @@ from nfv_torchrl.planners.myopic import MyopicPlanner
 from nfv_torchrl.scenario.files import read_run_folder
 from nfv_torchrl.scenario.scenario import Scenario
 
-FILES = Path(__file__).parent / "formats"
+FILES = Path(__file__).parent / "requests"
 CHAIN = {"chain": ["f"], "rate": 25, "tolerable_delay": None, "ingress": "any", "egress": "any"}
 BOTH_KINDS = {
     "cpu": {"scales_with_rate": False},
@@ -39,7 +39,7 @@ def world(workload: Path, **changes) -> Scenario:
         "vnfs": {"f": {"cpu": 10}},
         "services": {"chain": CHAIN},
         "substrate": {
-            "path": str(FILES / "virne.gml"),
+            "path": str(FILES.parent / "formats" / "virne.gml"),
             "vm_unit_cost": [1, 1],
             "link_unit_cost": [1, 1],
             "link_delay": [0, 0],
@@ -155,7 +155,7 @@ def test_laws_of_nfvdeep_are_drawn_from_with_the_scenario_seed():
 
 
 def test_a_node_without_cpu_only_forwards(tmp_path):
-    (tmp_path / "net.gml").write_text((FILES / "virne.gml").read_text().replace("cpu 87", "cpu 0"))
+    (tmp_path / "net.gml").write_text((FILES.parent / "formats" / "virne.gml").read_text().replace("cpu 87", "cpu 0"))
     path = {"path": str(tmp_path / "net.gml"), "vm_unit_cost": [1, 1], "link_unit_cost": [1, 1], "link_delay": [0, 0]}
     scenario = world(FILES / "virne_set", substrate=path)
     assert scenario.substrate.vm_count.tolist() == [1, 0, 1]

@@ -58,11 +58,11 @@ def test_yaml_builds(name):
 
 
 def test_virne_is_as_long_as_its_requests():
-    files = Path(__file__).parent / "formats"
+    files = Path(__file__).parent / "requests"
     scenario = composed(
         "+scenario=virne",
         f"scenario.workload.path={files / 'virne_set'}",
-        f"scenario.substrate.path={files / 'virne.gml'}",
+        f"scenario.substrate.path={files.parent / 'formats' / 'virne.gml'}",
     )
     assert (scenario.name, scenario.horizon, scenario.placement_rule, scenario.free_ends) == (
         "virne",

@@ -15,7 +15,7 @@ from nfv_torchrl.scenario.formats.virne_laws import ChainLaws, read_laws
 from nfv_torchrl.scenario.kinds import Resource
 from nfv_torchrl.scenario.request_sets import holds_laws
 
-FILES = Path(__file__).parent / "formats"
+FILES = Path(__file__).parent / "requests"
 FILE = FILES / "virne_laws.yaml"
 CATALOGUE = ServiceCatalogue((ServiceType(name="chain", **CHAIN),), {"f": {"cpu": 10}}, (Resource("cpu", False),))
 

@@ -292,7 +292,7 @@ class _Replay:
             self.problems.add(f"{where}: the delay is {delay} ms, the steps take {walk.delay!r} ms")
         tolerable = self.files.asked(request).tolerable_delay
         if walk.delay > tolerable + STATED_DELAY_TOLERANCE:
-            self.problems.add(f"{where}: the steps take {walk.delay!r} ms, {tolerable} ms are tolerable")
+            self.problems.add(f"{where}: the steps take {walk.delay!r} ms, {tolerable:g} ms are tolerable")
 
     def _walk(self, where: str, request: Request, steps: Any) -> ReplayedWalk:
         """Follow the steps, reserve what they use, and recompute cost and delay; stops where they make no sense."""
