@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.search.labels import (
     FOUND,
     Critical,
@@ -35,6 +36,8 @@ from nfv_torchrl.simulator.tables import Tables
 
 POOL = 4096
 COLUMNS = 8
+LARGEST = 4 << 30
+"""Bytes that the labels of one search may take."""
 ROUNDS_OF_SOME = 40
 """Label searches in which walks remember some nodes with a function on some nodes, before they remember all on all."""
 
@@ -80,7 +83,17 @@ def make_scratch(tables: Tables, pool: int = POOL, columns: int = COLUMNS) -> Sc
 
 
 def grow_scratch(tables: Tables, scratch: Scratch) -> Scratch:
-    """Twice the labels and twice the critical resources of ``scratch``."""
+    """Twice the labels and twice the critical resources of ``scratch``.
+
+    Raises:
+        ScenarioError: a request needs more than ``LARGEST`` bytes of labels.
+    """
+    size = 4 * scratch.labels.cost.size * scratch.critical.resource.size * 8
+    if size > LARGEST:
+        raise ScenarioError(
+            f"the exact search of a request needs more than {LARGEST >> 30} GB of memory, since very many walks are as "
+            "good as each other; use method=greedy here, or a smaller network or load"
+        )
     grown = make_scratch(tables, 2 * scratch.labels.cost.size, 2 * scratch.critical.resource.size)
     grown.rounds[:] = scratch.rounds
     return grown

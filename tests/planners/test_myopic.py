@@ -20,7 +20,9 @@ from toy import (
     toy_substrate,
 )
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner, PricedPlanner, TabuPlanner
+from nfv_torchrl.search import cheapest
 from nfv_torchrl.search.cheapest import grow_scratch, make_scratch, plan_cheapest
 from nfv_torchrl.search.walks import Prices
 from nfv_torchrl.simulator.state import new_world
@@ -173,3 +175,12 @@ def test_compiled_callers_keep_their_arrays():
     before = [sys.getrefcount(array) for array in watched]
     assert _plan_often(*arguments, 500) == 1500
     assert [sys.getrefcount(array) for array in watched] == before
+
+
+def test_a_search_that_would_take_all_memory_says_so(monkeypatch):
+    tables = toy_case(DUO, 0, 3).tables
+    grown = grow_scratch(tables, make_scratch(tables))
+    assert grown.labels.cost.size == 2 * make_scratch(tables).labels.cost.size
+    monkeypatch.setattr(cheapest, "LARGEST", 1 << 20)
+    with pytest.raises(ScenarioError, match=r"the exact search of a request needs more than .* use method=greedy"):
+        grow_scratch(tables, grown)
