@@ -143,7 +143,7 @@ def field_table(title: str, rows: Rows, reference: str, axis: str) -> Table:
     # RAC is AAR by another name; where requests bring their own demands, readers look for that name.
     heads = {"aar": "RAC" if "lrc" in measures else "AAR", "lrc": "LRC", "lar": "LAR", "cost_per_accepted": "cost $",
              "decisions_per_second": "decisions/s"}  # fmt: skip
-    lines = {}
+    lines: dict[tuple[str, float, str], dict[tuple[str, str], Any]] = {}
     for row in rows:
         lines.setdefault((row["network"], row["load"], row["method"]), {})[row["metric"], row["reference"]] = row
     ordered = sorted(lines.items(), key=lambda line: (_first(rows, line[0][0]), line[0][1]))

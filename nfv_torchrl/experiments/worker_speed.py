@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -23,7 +23,7 @@ from nfv_torchrl.training.collecting import MultiAsync, MultiSync, Single, World
 
 STEPS, WARM_UP = 16, 5
 """Steps of each environment in a batch, as in ``dqn.py``; batches before the clock starts."""
-KINDS: dict[str, type[Single]] = {"single": Single, "multi_sync": MultiSync, "multi_async": MultiAsync}
+KINDS: dict[str, Callable[..., Single]] = {"single": Single, "multi_sync": MultiSync, "multi_async": MultiAsync}
 
 
 def run_workers(config: dict[str, Any]) -> Iterator[dict[str, Any]]:
