@@ -1,8 +1,9 @@
 """The field's benchmark: methods on networks and requests that others use, beside what others publish of them.
 
-    python recipes/field.py                                  # Virne's chains on its networks
+    python recipes/field.py                                  # Virne's chains on Waxman-100
+    python recipes/field.py only=[geant,brain] method=[greedy] reference=greedy
     python recipes/field.py set=traffic                      # Abilene, GEANT and Germany50, arrivals by their traffic
-    python recipes/field.py only=[waxman_100] seeds=3 "+method.mine={_target_: my_package.Mine}"
+    python recipes/field.py seeds=3 "+method.mine={_target_: my_package.Mine}"
     python recipes/field.py freeze=docs/benchmark/chains.json    # the manifest that decisions are scored against
 
 Every method at every network and load is a cell of its own, audited, that is not computed again.
@@ -20,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import save_figure
-from nfv_torchrl.evaluation.score import freeze
+from nfv_torchrl.evaluation.score import check_place, freeze
 from nfv_torchrl.experiments.cells import CellStore
 from nfv_torchrl.experiments.computing import compute_shown
 from nfv_torchrl.experiments.field import field_figure, field_table, place_rows, places_of, published_rows, runs_of
@@ -37,6 +38,8 @@ def main(cfg: DictConfig) -> None:
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
     store = CellStore(run_folder(config["output"], "output"), Path(__file__).parent)
     places = places_of(config, Path(__file__).parent)
+    if config["freeze"]:
+        check_place(Path(config["freeze"]))
     claim("output", store.folder, "cells")
     failures = compute_shown([cell for place in places for cell in place.cells], store, instantiate(cfg.parallel))
 

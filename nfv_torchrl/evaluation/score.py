@@ -18,14 +18,14 @@ import hashlib
 import json
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nfv_torchrl.codec import encode_action
-from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.errors import AuditError, ScenarioError
 from nfv_torchrl.evaluation.audit import audit_run
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import RunRecord, write_run
@@ -44,6 +44,12 @@ SHOWN = ("aar", "lrc", "lar", "cost_per_accepted", "mean_hops")
 """What a row has, where the requests have it."""
 LARGEST_FILE, MOST_SHOWN = 2 << 30, 5
 """Bytes of a decisions file; refused decisions that are told one by one."""
+GENERATORS = ("nfv_torchrl.scenario.waxman.draw_waxman",)
+"""What a manifest, which may be a stranger's, may have drawn its network by. Any other name could run any code."""
+KEYS = {"scenario": dict, "seed": int, "substrate_sha256": str, "workload_sha256": str, "rows": dict}
+"""What a manifest says of every run."""
+Walks = list[list[list[Any]] | None]
+"""Of every request its steps [node, VM, function or None]; None: refused."""
 
 
 class GivenPlans(Planner):
@@ -81,7 +87,7 @@ class GivenPlans(Planner):
         return len(walk)
 
 
-def read_decisions(path: Path, requests: int) -> list[list[list[Any]] | None]:
+def read_decisions(path: Path, requests: int) -> Walks:
     """The walks of a decisions file, None where a request was refused.
 
     Raises:
@@ -133,8 +139,10 @@ def build(entry: Mapping[str, Any], where: str, overrides: Mapping[str, str] | N
         overrides: other places of its files: ``substrate`` and ``workload``.
 
     Raises:
-        ScenarioError: this version or these files give another network or other requests.
+        ScenarioError: an entry that is none, a network drawn by code that is not listed, or this version or these files
+            give another network or other requests.
     """
+    _check_entry(entry, where)
     config = json.loads(json.dumps(entry["scenario"]))
     for part, path in (overrides or {}).items():
         config[part]["path"] = path
@@ -147,6 +155,27 @@ def build(entry: Mapping[str, Any], where: str, overrides: Mapping[str, str] | N
                 f"{entry[part][:12]}...); use the files and the version that the manifest was made with"
             )
     return scenario, seed
+
+
+def _check_entry(entry: Any, where: str) -> None:
+    """Before anything of it is used: a manifest may come from anywhere."""
+    for key, kind in KEYS.items():
+        if not isinstance(entry, dict) or not isinstance(entry.get(key), kind):
+            raise ScenarioError(f"{where}: {key!r} is missing or of the wrong kind; give a manifest as it was frozen")
+    unknown = [name for name in _targets(entry["scenario"]) if name not in GENERATORS]
+    if unknown:
+        raise ScenarioError(
+            f"{where}: its network is drawn by {unknown[0]!r:.100}, and a manifest may name {', '.join(GENERATORS)}; "
+            "write the network to a file and name that"
+        )
+
+
+def _targets(part: Any) -> Iterator[Any]:
+    """Everything in a config that would be imported and called."""
+    if isinstance(part, dict):
+        yield from (value for key, value in part.items() if key == "_target_")
+    for inner in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        yield from _targets(inner)
 
 
 def digests(scenario: Scenario, seed: int) -> dict[str, str]:
@@ -162,8 +191,8 @@ def digests(scenario: Scenario, seed: int) -> dict[str, str]:
 
 def score(
     decisions: Path, entry: Mapping[str, Any], where: str, overrides: Mapping[str, str] | None = None
-) -> RunRecord:
-    """What decisions of any program amount to on a run of a manifest; audited.
+) -> tuple[RunRecord, Walks]:
+    """What decisions of any program amount to on a run of a manifest, audited; and the decisions.
 
     Raises:
         ScenarioError: see ``read_decisions``, ``build``, ``GivenPlans.plan``.
@@ -177,12 +206,11 @@ def score(
         run = Path(folder) / "decisions" / f"seed_{seed}"
         write_run(run, record, compute_metrics(record))
         audit_run(run).raise_if_problems()
-    return record
+    return record, walks
 
 
-def refused(record: RunRecord, decisions: Path) -> list[str]:
+def refused(record: RunRecord, walks: Walks) -> list[str]:
     """Requests that the file accepts and the rules do not, for people."""
-    walks = read_decisions(decisions, record.num_requests)
     lines = [number for number, walk in enumerate(walks) if walk is not None and not record.accepted[number]]
     told = [f"line {number + 1}: {REASON_NAMES[record.reason[number]]}" for number in lines[:MOST_SHOWN]]
     return told + ([f"and {len(lines) - MOST_SHOWN} more"] if len(lines) > MOST_SHOWN else [])
@@ -200,6 +228,16 @@ def score_table(record: RunRecord, entry: Mapping[str, Any], run: str) -> Table:
 
 def _number(value: Any) -> str:
     return "–" if value is None or value != value else f"{value:,.4f}" if abs(value) < 100 else f"{value:,.1f}"
+
+
+def check_place(path: Path) -> None:
+    """Refuse to freeze a manifest over anything but a manifest.
+
+    Raises:
+        ScenarioError: ``path`` is something else.
+    """
+    if path.exists():
+        read_manifest(path)
 
 
 def freeze(path: Path, title: str, runs: Mapping[str, Mapping[str, Any]]) -> None:
@@ -252,12 +290,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.run not in runs:
             listed = "\n  ".join(["", *runs])
             raise ScenarioError(f"--run {given.run}: name one of{listed}")
-        record = score(given.decisions, runs[given.run], f"{given.manifest}: {given.run}", files)
-    except (ScenarioError, OSError) as error:
+        record, walks = score(given.decisions, runs[given.run], f"{given.manifest}: {given.run}", files)
+    except (ScenarioError, AuditError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(score_table(record, runs[given.run], given.run).text())
-    found = refused(record, given.decisions)
+    found = refused(record, walks)
     if found:
         print("\nAccepted in the file and refused by the rules, so counted as rejected:\n  " + "\n  ".join(found))
     return 1 if found else 0

@@ -10,7 +10,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
-from nfv_torchrl.evaluation.score import freeze, main, read_manifest, score
+from nfv_torchrl.evaluation.score import check_place, freeze, main, read_manifest, score
 from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.planners import GreedyPlanner
 from nfv_torchrl.scenario.scenario import Scenario
@@ -51,7 +51,7 @@ def test_the_decisions_of_a_method_score_what_it_scored(frozen, tmp_path, capsys
     assert 0 < record.accepted.sum() < record.num_requests
     bare = [{"accepted": line["accepted"], "steps": line["steps"]} for line in lines_of(decisions)]
     for file in (decisions, written(tmp_path / "bare.jsonl", bare)):
-        again = score(file, read_manifest(manifest)["small"], "m: small")
+        again, _ = score(file, read_manifest(manifest)["small"], "m: small")
         assert (again.accepted == record.accepted).all()
         assert compute_metrics(again)["cost_per_accepted"] == compute_metrics(record)["cost_per_accepted"]
     assert main([str(decisions), "--manifest", str(manifest), "--run", "small"]) == 0
@@ -68,7 +68,7 @@ def test_what_breaks_a_rule_counts_as_rejected_and_is_told(frozen, tmp_path, cap
     assert main([str(file), "--manifest", str(manifest), "--run", "small"]) == 1
     said = capsys.readouterr().out
     assert "refused by the rules" in said and f"line {first + 1}: " in said
-    assert not score(file, read_manifest(manifest)["small"], "m").accepted[first]
+    assert not score(file, read_manifest(manifest)["small"], "m")[0].accepted[first]
 
 
 @pytest.mark.parametrize(
@@ -105,3 +105,31 @@ def test_another_network_or_other_requests_are_refused(frozen, tmp_path, capsys)
     assert "no manifest of a benchmark" in capsys.readouterr().err
     assert main([str(decisions), "--manifest", str(manifest), "--run", "big"]) == 2
     assert "name one of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("where", ["generator", "deeper"])
+def test_a_manifest_runs_no_code(where, frozen, tmp_path):
+    manifest, decisions, _ = frozen
+    entry, marker = read_manifest(manifest)["small"], tmp_path / "marker"
+    code = {"_target_": "pathlib.Path.touch", "self": {"_target_": "pathlib.Path", "_args_": [str(marker)]}}
+    inner = code if where == "generator" else {"_target_": "nfv_torchrl.scenario.waxman.draw_waxman", "nodes": [code]}
+    entry["scenario"] = {**CONFIG, "substrate": {"generator": inner}}
+    with pytest.raises(ScenarioError, match=r"its network is drawn by 'pathlib\.Path\.touch'"):
+        score(decisions, entry, "m")
+    assert not marker.exists()
+
+
+@pytest.mark.parametrize("key", ["scenario", "seed", "workload_sha256", "rows"])
+def test_a_damaged_manifest_is_named(key, frozen):
+    manifest, decisions, _ = frozen
+    entry = read_manifest(manifest)["small"]
+    with pytest.raises(ScenarioError, match=f"m: '{key}' is missing"):
+        score(decisions, {name: value for name, value in entry.items() if name != key}, "m")
+
+
+def test_only_a_manifest_is_frozen_over(frozen, tmp_path):
+    check_place(frozen[0])
+    check_place(tmp_path / "new.json")
+    (tmp_path / "mine.json").write_text("{}")
+    with pytest.raises(ScenarioError, match=r"mine\.json: no manifest"):
+        check_place(tmp_path / "mine.json")
