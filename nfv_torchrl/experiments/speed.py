@@ -142,7 +142,7 @@ def run_rows(config: dict[str, Any]) -> Iterator[Row]:
         parts = {"candidate": CandidateObservation(), "lookahead": LookaheadObservation(),
                  "lookahead, bounds": LookaheadObservation(exact=False)}  # fmt: skip
         player = LookaheadPlay(LookaheadNetwork(Sizes.of(simulator)))
-        player.prepare(simulator)
+        player.prepare(simulator.world)
         seconds = dict.fromkeys(["step", *parts], 0.0)
         rng = np.random.default_rng(0)
         for step in range(steps + WARM_UP):

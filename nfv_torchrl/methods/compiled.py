@@ -26,37 +26,34 @@ from nfv_torchrl.simulator.kernels import step_env
 from nfv_torchrl.simulator.state import OUTCOME
 
 
-class CompiledCandidates:
-    """A ``CandidateNetwork`` as a method that takes the valid action of the highest output, in one compiled loop.
+class CompiledRows:
+    """A network that values rows as a method that takes the valid action of the highest value, compiled.
 
-    The same choice as that of ``PolicyMethod`` with ``greedy_actor``, but for outputs that agree to within rounding,
-    and many times as fast. The weights are those at the time it is made.
+    The same choice as that of ``PolicyMethod`` with ``greedy_actor``, but for values that agree to within rounding, and
+    many times as fast. The weights are those at the time it is made.
 
     Args:
-        network: what decides.
+        play: chooses for all environments of a simulator.
         name: see ``PolicyMethod``.
         mask: see ``PolicyMethod``.
         decides_admission: see ``PolicyMethod``.
 
     Attributes:
-        watch: some of the outputs that decided, in the last run.
-
-    Raises:
-        ScenarioError: a network that ``CandidatePlay`` does not take.
+        watch: some of the values that decided, in the last run.
     """
 
     one_hot = False
 
     def __init__(
         self,
-        network: CandidateNetwork,
+        play: CandidatePlay | LookaheadPlay,
         *,
         name: str = "policy",
         mask: str | None = None,
         decides_admission: bool = False,
     ) -> None:
         self.name, self.mask, self.decides_admission = name, mask, decides_admission
-        self._play = CandidatePlay(network)
+        self._play = play
         self.watch = Watch()
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
@@ -73,51 +70,26 @@ class CompiledCandidates:
         return actions
 
 
-class CompiledLookahead:
-    """A ``LookaheadNetwork`` as a method that takes the valid action of the highest value, compiled.
+class CompiledCandidates(CompiledRows):
+    """``CompiledRows`` of a ``CandidateNetwork``; ``options`` are its ``name``, ``mask`` and ``decides_admission``.
 
-    The same choice as that of ``PolicyMethod`` with ``greedy_actor``, but for values that agree to within rounding. The
-    weights are those at the time it is made.
+    Raises:
+        ScenarioError: a network that ``CandidatePlay`` does not take.
+    """
 
-    Args:
-        network: what decides.
-        name: see ``PolicyMethod``.
-        mask: see ``PolicyMethod``.
-        decides_admission: see ``PolicyMethod``.
+    def __init__(self, network: CandidateNetwork, **options: Any) -> None:
+        super().__init__(CandidatePlay(network), **options)
 
-    Attributes:
-        watch: some of the values that decided in the last run; they are less V.
+
+class CompiledLookahead(CompiledRows):
+    """``CompiledRows`` of a ``LookaheadNetwork``, the same way; the values that it watches are less V.
 
     Raises:
         ScenarioError: a network that ``LookaheadPlay`` does not take.
     """
 
-    one_hot = False
-
-    def __init__(
-        self,
-        network: LookaheadNetwork,
-        *,
-        name: str = "policy",
-        mask: str | None = None,
-        decides_admission: bool = False,
-    ) -> None:
-        self.name, self.mask, self.decides_admission = name, mask, decides_admission
-        self._play = LookaheadPlay(network)
-        self.watch = Watch()
-
-    def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
-        """See ``Method``."""
-        self._play.prepare(simulator)
-        self._play.choose(simulator)  # the first call may compile
-        self.watch.clear()
-
-    def act(self, simulator: Simulator) -> np.ndarray:
-        """See ``Method``."""
-        actions, values = self._play.choose(simulator)
-        if self.watch.due():
-            self.watch.add(values[simulator.world.env["done"] == 0])
-        return actions
+    def __init__(self, network: LookaheadNetwork, **options: Any) -> None:
+        super().__init__(LookaheadPlay(network), **options)
 
 
 @part

@@ -17,6 +17,7 @@ from nfv_torchrl.observations.lookahead import FEATURES, ROW, fill_rows
 from nfv_torchrl.observations.standing import FACTORS, STATE, state_scales
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
+from nfv_torchrl.simulator.state import World
 
 
 class Deciding(NamedTuple):
@@ -88,9 +89,9 @@ class LookaheadPlay:
             raise ScenarioError("network: a compiled look-ahead network has one output")
         self._network, self._prices = network, compiled_perceptron(network.prices)
 
-    def prepare(self, simulator: Simulator) -> None:
-        """Allocate what playing in ``simulator`` needs."""
-        world, network = simulator.world, self._network
+    def prepare(self, world: World) -> None:
+        """Allocate what playing in the simulator of ``world`` needs."""
+        network = self._network
         self._looking = Looking(exact=network.exact, price=network.at)
         self._scales = state_scales(world.tables)
         rows = np.zeros((candidate_shape(world.tables, world.rules)[0], len(FEATURES)), np.float32)

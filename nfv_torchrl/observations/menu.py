@@ -153,7 +153,8 @@ def _room(free, reference):
 
 
 @part
-def _pow8(x):
+def pow8(x):
+    """x to the power of eight: near 0 but where a share is nearly 1."""
     x = x * x
     x = x * x
     return x * x
@@ -208,7 +209,7 @@ def _describe_state(world, b, own, menu, state):
     near = tables.delay_to[net, tables.least_rate[service], e.ingress, e.egress]
     state[STATE.near] = near / tables.tolerable_delay[service]
     state[STATE.vm_used] = used
-    state[STATE.vm_used_pow8] = _pow8(used)
+    state[STATE.vm_used_pow8] = pow8(used)
     state[STATE.link_used] = e.link_used / tables.link_total[net]
     state[STATE.colocation] = 1.0 if world.rules.colocation else 0.0
     state[STATE.nodes] = np.log(tables.num_nodes[net]) / 5.0
@@ -253,7 +254,7 @@ def _describe_vms(world, b, own, placed, row):
                 left -= own.place[j, 2]
                 first = first and j >= i
         row[ROW.vm_used] += share * used
-        row[ROW.vm_used_pow16] += share * _pow8(used * used)
+        row[ROW.vm_used_pow16] += share * pow8(used * used)
         room = _room(max(left, 0), own.reference_load)
         row[ROW.vm_room] += share * room
         row[ROW.vm_room_least] = min(row[ROW.vm_room_least], room)
@@ -297,7 +298,7 @@ def _describe_links(world, b, own, plan, steps, row):
         left = max(ledger.link_offered[b, link] - own.rate_units[e.service], 0)
         used = 1.0 - ledger.link_offered[b, link] / tables.link_capacity[e.net, link]
         row[ROW.link_used] += used
-        row[ROW.link_used_pow16] += _pow8(used * used)
+        row[ROW.link_used_pow16] += pow8(used * used)
         row[ROW.link_room_least] = min(row[ROW.link_room_least], _room(left, own.reference_rate))
         row[ROW.ends_room] = min(row[ROW.ends_room], own.ends[node])
         hops += 1

@@ -11,6 +11,7 @@ import numpy as np
 
 from nfv_torchrl.columns import columns
 from nfv_torchrl.observations.ahead import CHEAP, SPARE
+from nfv_torchrl.observations.menu import pow8
 from nfv_torchrl.planners.menu import LEAST_COST
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.slots import used_vm_share
@@ -79,13 +80,6 @@ def scale_of(kept, b):
 
 
 @part
-def _pow8(x):
-    x = x * x
-    x = x * x
-    return x * x
-
-
-@part
 def write_state(world, b, own, scales, state):
     """Fill the numbers of the network and the request, float32 [S]."""
     tables, kept, e = world.tables, own.kept, world.env[b]
@@ -98,9 +92,9 @@ def write_state(world, b, own, scales, state):
     state[STATE.size] = np.log(max(scales.chain[profile] / scales.mean_capacity[net], 1e-9)) / 5.0
     state[STATE.rate] = np.log(1.0 + scales.rate[profile] / scales.mean_speed[net]) / 5.0
     state[STATE.vm_used] = used
-    state[STATE.vm_used_pow8] = _pow8(used)
+    state[STATE.vm_used_pow8] = pow8(used)
     state[STATE.link_used] = link_used
-    state[STATE.link_used_pow8] = _pow8(link_used)
+    state[STATE.link_used_pow8] = pow8(link_used)
     state[STATE.colocation] = world.rules.colocation
     state[STATE.nodes] = np.log(tables.num_nodes[net]) / 5.0
     if e.ingress >= 0 and e.egress >= 0:
