@@ -1,12 +1,18 @@
 """Settings that make every test run repeatable: one torch thread, and Hypothesis without deadlines."""
 
 import os
+import signal
 
 import torch
 from hypothesis import HealthCheck, settings
 
 # One thread: sums are added in one order, and two cores are not shared by more workers than they can carry.
 torch.set_num_threads(1)
+
+# A shell without job control starts its background jobs with Ctrl-C ignored, and what they start inherits that. Tests
+# send it to themselves and to recipes.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The first example of a test compiles kernels, so no deadline and no complaint about a slow start.
 _common = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow], "print_blob": True}

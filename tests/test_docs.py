@@ -141,6 +141,8 @@ def test_commands_that_are_printed_would_start(recipe):
 
 
 def test_make_train_sets_up_trains_and_evaluates_in_folders_of_their_own(tmp_path, monkeypatch):
+    for name in ("ARGS", "MAKEFLAGS", "MFLAGS", "MAKEOVERRIDES"):  # those of a make that runs the tests
+        monkeypatch.delenv(name, raising=False)
     done = subprocess.run(["make", "-nB", "train"], cwd=ROOT, capture_output=True, text=True, check=True)
     lines = done.stdout.replace("\\\n", " ").splitlines()
     assert [line for line in lines if re.search(r"-m pip install [^|]*-c constraints.txt -e '\.\[dev\]'$", line)]

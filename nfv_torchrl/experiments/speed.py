@@ -19,7 +19,7 @@ from nfv_torchrl.experiments.loaded import batches, load_networks, loaded_env, m
 from nfv_torchrl.methods import methods_from_config
 from nfv_torchrl.methods.lookahead_play import LookaheadPlay
 from nfv_torchrl.networks import LookaheadNetwork, Sizes
-from nfv_torchrl.observations import CandidateObservation, LookaheadObservation
+from nfv_torchrl.observations import CandidateObservation, LookaheadObservation, ObservationPart
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator, kernels
 from nfv_torchrl.simulator.state import OUTCOME
@@ -139,8 +139,11 @@ def run_rows(config: dict[str, Any]) -> Iterator[Row]:
     for _, batch, scenario, steps in batches(config, COLLECTED):
         simulator = Simulator(scenario.replace(mask="feasible", admission_control=True), batch)
         load_networks(simulator, config["loaded_slot"])
-        parts = {"candidate": CandidateObservation(), "lookahead": LookaheadObservation(),
-                 "lookahead, bounds": LookaheadObservation(exact=False)}  # fmt: skip
+        parts: dict[str, ObservationPart] = {
+            "candidate": CandidateObservation(),
+            "lookahead": LookaheadObservation(),
+            "lookahead, bounds": LookaheadObservation(exact=False),
+        }
         player = LookaheadPlay(LookaheadNetwork(Sizes.of(simulator)))
         player.prepare(simulator.world)
         seconds = dict.fromkeys(["step", *parts], 0.0)

@@ -10,10 +10,12 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.data import Categorical
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
+from torchrl.modules import NoisyLinear as TorchRLNoisyLinear
 from torchrl.objectives import LossModule, ValueEstimators
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks import NetworkFactory, QNetwork, Sizes
+from nfv_torchrl.networks.layers import NoisyLinear
 
 LOWEST = torch.finfo(torch.float32).min
 """Log-odds of an invalid action. With minus infinity its 0 * log 0 would be NaN in the entropy's gradient."""
@@ -29,6 +31,21 @@ def masked_actor(network: QNetwork, actions: int, lowest: float = LOWEST) -> Pro
     if hasattr(network, "unroll"):
         raise ScenarioError("network: one with memory learns from sequences: use pg_loss=recurrent_ppo")
     return masked_policy(TensorDictModule(network, in_keys=list(network.in_keys), out_keys=["logits"]), actions, lowest)
+
+
+def refuse_noise(network: nn.Module) -> None:
+    """A policy gradient needs the probability with which the policy that acted took its action.
+
+    Raises:
+        ScenarioError: a layer draws random numbers: each call is another policy.
+    """
+    noisy = (NoisyLinear, TorchRLNoisyLinear, nn.modules.dropout._DropoutNd)
+    drawing = next((type(layer).__name__ for layer in network.modules() if isinstance(layer, noisy)), None)
+    if drawing is not None:
+        raise ScenarioError(
+            f"network: its layers {drawing} draw random numbers, so no two calls are the same policy, and policy "
+            "gradients explore by sampling actions: leave out network.noisy=true, or set network=mlp"
+        )
 
 
 def masked_policy(module: TensorDictModule, actions: int, lowest: float = LOWEST) -> ProbabilisticActor:
@@ -98,6 +115,9 @@ class PolicyGradient(nn.Module):
     Keys that ``prepare`` reads from a batch [B, T]: the network's ``in_keys``, ``action_mask`` bool [A], ``action``
     int64 [], ``action_log_prob`` float32 [], and under ``next`` the same observation, ``reward`` float32 [1],
     ``stop_at`` and ``done`` bool [1]. It adds ``advantage`` and ``value_target`` float32 [1] and gives [B T] rows.
+
+    Raises:
+        ScenarioError: the network has a memory, or layers that draw random numbers (``network=noisy``).
     """
 
     def __init__(
@@ -111,7 +131,9 @@ class PolicyGradient(nn.Module):
         stop_at: str,
     ) -> None:
         super().__init__()
-        actor = masked_actor(network(sizes), sizes.actions)
+        made = network(sizes)
+        refuse_noise(made)
+        actor = masked_actor(made, sizes.actions)
         critic = state_values(network(sizes))
         self._observed = list(dict.fromkeys(critic.in_keys))
         self.objective = objective(actor, critic)

@@ -181,7 +181,7 @@ def _describe_needs(own, state):
         state[at + SERVICE.vm_room] = 1.0
         state[at + SERVICE.vm_room_mean] = 0.0 if needs.seen[q] > 0 else 1.0
         state[at + SERVICE.link_room] = 1.0
-    for i in range(needs.count[0]):
+    for i in range(needs.different[0]):
         q = needs.request[i, 0]
         at, share = first + q * len(SERVICE), needs.times[i] / needs.seen[q]
         room = _room(needs.free[i], own.reference_load)
@@ -270,7 +270,7 @@ def _describe_what_is_left(own, placed, row):
     needs = own.needs
     for q in range(needs.seen.size):
         row[len(ROW) + q * len(ROW_SERVICE) + ROW_SERVICE.room_least] = 1.0
-    for i in range(needs.count[0]):
+    for i in range(needs.different[0]):
         q = needs.request[i, 0]
         at = len(ROW) + q * len(ROW_SERVICE)
         left = needs.free[i] - taken_units(needs, i, own.place, placed)

@@ -26,7 +26,7 @@ class Needs(NamedTuple):
     side: np.ndarray  # int16 [S, N, N], by egress and node: which part the node is in when the egress is taken out
     largest_units: np.ndarray  # int64 [Q], ledger units of the largest function
     chain_units: np.ndarray  # int64 [Q]
-    count: np.ndarray  # int64 [1], how many different ones
+    different: np.ndarray  # int64 [1], how many different ones
     request: np.ndarray  # int64 [PROBES, 3], type, ingress, egress
     times: np.ndarray  # int64 [PROBES], how often it came
     reached: np.ndarray  # bool [PROBES, N], nodes that it could use, were nothing used
@@ -72,7 +72,7 @@ def make_needs(tables: Tables) -> Needs:
         side=side,
         largest_units=tables.load_units[:services, :, 0].max(axis=1),
         chain_units=tables.load_units[:services, :, 0].sum(axis=1),
-        count=np.zeros(1, np.int64),
+        different=np.zeros(1, np.int64),
         request=np.zeros((PROBES, 3), np.int64),
         times=np.zeros(PROBES, np.int64),
         reached=np.zeros((PROBES, nodes), np.bool_),
@@ -89,7 +89,7 @@ def measure_needs(world, b, own):
     _measure_usable(world, b, own)
     _collect(world, b, own)
     nodes = world.tables.num_nodes[world.env[b].net]
-    for i in range(own.count[0]):
+    for i in range(own.different[0]):
         request = (own.request[i, 0], own.request[i, 1], own.request[i, 2])
         own.free[i] = 0
         for node in range(nodes):
@@ -133,7 +133,7 @@ def _collect(world, b, own):
             own.times[i] = 0
             count += 1
         own.times[i] += 1
-    own.count[0] = count
+    own.different[0] = count
 
 
 @part

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from numba.core import cgutils, types
 from numba.core.datamodel import models
+from numba.core.types.containers import BaseNamedTuple, BaseTuple
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
@@ -29,7 +30,7 @@ Class = TypeVar("Class", bound=type)
 class Reference(types.Type):
     """The address of a named tuple; ``target`` is Numba's type of that."""
 
-    def __init__(self, target: types.BaseNamedTuple) -> None:
+    def __init__(self, target: BaseNamedTuple) -> None:
         self.target = target
         # The names of all arrays' types would be in the name of every compiled function.
         digest = hashlib.sha256(target.name.encode()).hexdigest()[:16]
@@ -41,7 +42,7 @@ def by_reference(named_tuple: Class) -> Class:
 
     @typeof_impl.register(named_tuple)
     def _typeof(value: Any, context: Any) -> Reference:
-        return Reference(types.BaseTuple.from_types([typeof_impl(field, context) for field in value], named_tuple))
+        return Reference(BaseTuple.from_types([typeof_impl(field, context) for field in value], named_tuple))
 
     return named_tuple
 

@@ -9,11 +9,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import A2CLoss, ClipPPOLoss, ReinforceLoss
 from two_states import SIZES, table_network
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses import request_loss
 from nfv_torchrl.losses.a2c import A2C
 from nfv_torchrl.losses.policy_gradient import masked_actor
 from nfv_torchrl.losses.ppo import PPO
 from nfv_torchrl.losses.reinforce import Reinforce
+from nfv_torchrl.networks.layers import NoisyLinear
 
 JUNK = 1e4
 # In state 0 actions 0 and 1 with 1/4 and 3/4, in state 1 action 2 alone.
@@ -149,3 +151,15 @@ def test_each_has_its_own_parameters():
     loss = make(PPO)
     names = {name for name, _ in loss.named_parameters()}
     assert len(names) == 2 and len(list(loss.parameters())) == 2
+
+
+@pytest.mark.parametrize("layer", [NoisyLinear(1, 4), torch.nn.Dropout()])
+def test_layers_that_draw_random_numbers_are_refused(layer):
+    def network(sizes):
+        made = table_network(LOGITS)(sizes)
+        made.extra = layer
+        return made
+
+    for kind in (PPO, A2CLoss):
+        with pytest.raises(ScenarioError, match=rf"^network: its layers {type(layer).__name__} .* set network=mlp$"):
+            request_loss(kind)(network, SIZES)

@@ -19,7 +19,8 @@ class Steps:
         self.order = [
             (name, *pair) for name, mine in zip(names, pairs or [[[]] for _ in names], strict=True) for pair in mine
         ]
-        self.slot, self.spent = -1, {}
+        self.slot = -1
+        self.spent: dict[tuple[Any, ...], int] = {}
 
     def left(self, request: Request) -> int:
         """Steps that the walk of ``request`` may take in all."""
