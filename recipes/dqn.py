@@ -11,6 +11,7 @@ Copy, paste and change it: every part below can be replaced without touching the
 
 from __future__ import annotations
 
+import math
 import time
 from functools import partial
 
@@ -36,6 +37,7 @@ from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import falling_rate, gradient_step, target_updater
 from nfv_torchrl.training.logger import METRICS, RunLogger
 from nfv_torchrl.training.memory import MemoryState
+from nfv_torchrl.training.occasions import Evaluations
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
 from nfv_torchrl.training.room import check_any_size, check_compiler, check_environments
@@ -110,17 +112,17 @@ def main(cfg: DictConfig) -> None:
     # Before the collector, whose first reset starts the horizons of a new environment and goes on in a loaded one.
     folder.load(state)
     batches = collector.start(policy, device)
-    iterations = cfg.collector.total_frames // frames_per_batch
+    iterations = math.ceil(cfg.collector.total_frames / frames_per_batch)
     check_room(folder.path, state, config, iterations=iterations, memory=cfg.buffer.size * item)
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
-    evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
-    bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=1 + evaluations)
+    evaluations = Evaluations(cfg.eval.interval, iterations)
+    bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations.count)
     folder.load_random_numbers(state)  # making the parts above drew some
     learning = TensorDict()  # what the last update said
 
-    if cfg.eval.interval and not progress.iteration:
+    if not progress.iteration and evaluations.due(0):
         with bar.pause():
             evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)  # untrained
     with StopRequest() as stop:
@@ -151,7 +153,7 @@ def main(cfg: DictConfig) -> None:
             if progress.iteration % cfg.logger.interval == 0:
                 line = logger.iteration(progress, window, data, learning, epsilon=float(explore.eps))
                 bar.say(line)
-            if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
+            if evaluations.due(progress.iteration):
                 with bar.pause():
                     evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
             if progress.iteration % cfg.saving.interval == 0:
@@ -159,8 +161,6 @@ def main(cfg: DictConfig) -> None:
             bar.reach(progress.frames)
 
     bar.close()
-    if cfg.eval.interval and not stop.asked and progress.iteration % cfg.eval.interval:
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
     folder.save(state, progress.frames)
     logger.close()
     folder.print_ending(interrupted=stop.asked)

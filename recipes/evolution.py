@@ -33,6 +33,7 @@ from nfv_torchrl.training.disk import check_room
 from nfv_torchrl.training.finite import check_fitness
 from nfv_torchrl.training.layout import EVOLVED
 from nfv_torchrl.training.logger import RunLogger
+from nfv_torchrl.training.occasions import Evaluations
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.run import RunFolder
 from nfv_torchrl.training.setup import StopRequest, seed_everything, set_threads
@@ -67,8 +68,8 @@ def main(cfg: DictConfig) -> None:
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, FITNESS, EVOLVED)
-    evaluations = cfg.generations // cfg.eval.interval if cfg.eval.interval else 0
-    bar = ProgressBar(total=cfg.generations, initial=strategy.generation, unit="generation", pauses=1 + evaluations)
+    evaluations = Evaluations(cfg.eval.interval, cfg.generations)
+    bar = ProgressBar(total=cfg.generations, initial=strategy.generation, unit="generation", pauses=evaluations.count)
 
     def evaluate() -> None:
         """The centre of the search on held-out horizons; keep it if it is the fittest so far."""
@@ -86,7 +87,7 @@ def main(cfg: DictConfig) -> None:
         if cfg.eval.interval:
             with bar.pause():
                 board = EvolutionBoard(logger, config, held_out, known, arena.workers)
-        if cfg.eval.interval and not strategy.generation:
+        if not strategy.generation and evaluations.due(0):
             with bar.pause():
                 evaluate()  # where the search begins
         while strategy.generation < cfg.generations and not stop.asked:
@@ -107,15 +108,13 @@ def main(cfg: DictConfig) -> None:
             logger.scalars(metrics, progress.frames)
             bar.say(f"fitness {metrics['train/fitness']:+.3f}, best {max(fitness):+.3f}")
             bar.update()
-            if cfg.eval.interval and strategy.generation % cfg.eval.interval == 0:
+            if evaluations.due(strategy.generation):
                 with bar.pause():
                     evaluate()
             if strategy.generation % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
 
         bar.close()
-        if cfg.eval.interval and strategy.generation % cfg.eval.interval and not stop.asked:
-            evaluate()
 
     folder.save(state, progress.frames)
     logger.close()

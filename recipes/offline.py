@@ -36,6 +36,7 @@ from nfv_torchrl.training.evaluating import evaluate_policy
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import METRICS, RunLogger
+from nfv_torchrl.training.occasions import Evaluations
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.recording import Dataset
 from nfv_torchrl.training.replay import check_replay, make_buffer, some_rows
@@ -135,11 +136,11 @@ def main(cfg: DictConfig) -> None:
 
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
-    evaluations = cfg.learner.updates // cfg.eval.interval if cfg.eval.interval else 0
-    bar = ProgressBar(total=cfg.learner.updates, initial=progress.updates, unit="update", pauses=1 + evaluations)
+    evaluations = Evaluations(cfg.eval.interval, cfg.learner.updates)
+    bar = ProgressBar(total=cfg.learner.updates, initial=progress.updates, unit="update", pauses=evaluations.count)
     folder.load_random_numbers(state)  # making the parts above drew some
 
-    if cfg.eval.interval and not progress.updates:
+    if not progress.updates and evaluations.due(0):
         with bar.pause():
             evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)  # untrained
     with StopRequest() as stop:
@@ -158,7 +159,7 @@ def main(cfg: DictConfig) -> None:
                 metrics = {f"train/{key}": float(value) for key, value in learning.items()} | progress.speeds()
                 logger.scalars(metrics, progress.frames)
                 bar.say(f"loss {metrics['train/loss']:.4f}  best AAR {max(progress.best_aar, 0):.3f}")
-            if cfg.eval.interval and progress.updates % cfg.eval.interval == 0:
+            if evaluations.due(progress.updates):
                 with bar.pause():
                     evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
             if progress.updates % cfg.saving.interval == 0:
@@ -166,8 +167,6 @@ def main(cfg: DictConfig) -> None:
             bar.update()
 
     bar.close()
-    if cfg.eval.interval and not stop.asked and progress.updates % cfg.eval.interval:
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
     folder.save(state, progress.frames)
     logger.close()
     folder.print_ending(interrupted=stop.asked)

@@ -12,6 +12,7 @@ Copy, paste and change it: every part below can be replaced without touching the
 
 from __future__ import annotations
 
+import math
 import time
 from functools import partial
 
@@ -30,6 +31,7 @@ from nfv_torchrl.training.evaluating import evaluate_policy
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import METRICS, RunLogger
+from nfv_torchrl.training.occasions import Evaluations
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.training.room import check_environments
 from nfv_torchrl.training.run import RunFolder
@@ -73,16 +75,16 @@ def main(cfg: DictConfig) -> None:
     # Before the collector, whose first reset starts the horizons of a new environment and goes on in a loaded one.
     folder.load(state)
     batches = collector.start(loss.actor, device)
-    iterations = cfg.collector.total_frames // (cfg.collector.num_envs * cfg.collector.steps)
+    iterations = math.ceil(cfg.collector.total_frames / (cfg.collector.num_envs * cfg.collector.steps))
     check_room(folder.path, state, config, iterations=iterations)
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
-    evaluations = iterations // cfg.eval.interval if cfg.eval.interval else 0
-    bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=1 + evaluations)
+    evaluations = Evaluations(cfg.eval.interval, iterations)
+    bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations.count)
     folder.load_random_numbers(state)  # making the parts above drew some
 
-    if cfg.eval.interval and not progress.iteration:
+    if not progress.iteration and evaluations.due(0):
         with bar.pause():
             evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)  # untrained
     with StopRequest() as stop:
@@ -108,7 +110,7 @@ def main(cfg: DictConfig) -> None:
 
             if progress.iteration % cfg.logger.interval == 0:
                 bar.say(logger.iteration(progress, window, data, learning))
-            if cfg.eval.interval and progress.iteration % cfg.eval.interval == 0:
+            if evaluations.due(progress.iteration):
                 with bar.pause():
                     evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
             if progress.iteration % cfg.saving.interval == 0:
@@ -116,8 +118,6 @@ def main(cfg: DictConfig) -> None:
             bar.reach(progress.frames)
 
     bar.close()
-    if cfg.eval.interval and not stop.asked and progress.iteration % cfg.eval.interval:
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
     folder.save(state, progress.frames)
     logger.close()
     folder.print_ending(interrupted=stop.asked)

@@ -24,8 +24,11 @@ import numpy as np
 from numba import config, njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from nfv_torchrl.simulator.parts import PartCompiler, PartFiles
+
 log = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parents[1]
+PART = {"pipeline_class": PartCompiler, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 IMPORT = re.compile(rf"^from ({PACKAGE.name}[\w.]*) import ([\w, ]*)", re.MULTILINE)
 
 
@@ -38,13 +41,13 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """Compile a function that only kernels call. Its Python wrapper is left out, half of what there is to compile."""
-    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    """Compile a function that only kernels call; it becomes machine code within these, see ``PartLibrary``."""
+    return _compiled(function, **PART)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a small function that only kernels call into its callers."""
-    return _compiled(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    return _compiled(function, **PART, forceinline=True)
 
 
 def records(count: int, dtype: np.dtype) -> np.ndarray:
@@ -53,10 +56,10 @@ def records(count: int, dtype: np.dtype) -> np.ndarray:
     return made.view(np.recarray) if config.DISABLE_JIT else made
 
 
-def _compiled(function: Callable[..., Any], **options: bool) -> Any:
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     made = njit(_nrt=False, **options)(function)
     if made is not function:  # it is where Numba is switched off
-        kept = _cache_for(function)
+        kept = _cache_for(function, PartCache if "pipeline_class" in options else KernelCache)
         if kept is not None:
             made._cache = kept
     return made
@@ -110,10 +113,16 @@ class KernelCache(FunctionCache):
             _warn_once(f"compiled code cannot be kept in {self.cache_path} ({error.strerror})")
 
 
-def _cache_for(function: Callable[..., Any]) -> KernelCache | None:
+class PartCache(KernelCache):
+    """The same for a ``part``."""
+
+    _impl_class = PartFiles
+
+
+def _cache_for(function: Callable[..., Any], kind: type[KernelCache]) -> KernelCache | None:
     """A cache beside the source or in the user's home; else in the temporary folder; else none."""
     with contextlib.suppress(RuntimeError):
-        return KernelCache(function)
+        return kind(function)
     folder = _temporary_folder()
     if folder is None:
         _warn_once("there is no folder to keep compiled code in, so it is compiled anew each time")
@@ -122,7 +131,7 @@ def _cache_for(function: Callable[..., Any]) -> KernelCache | None:
     # In the environment, where child processes find it.
     os.environ["NUMBA_CACHE_DIR"] = config.CACHE_DIR = str(folder)
     with contextlib.suppress(RuntimeError):
-        return KernelCache(function)
+        return kind(function)
     return None
 
 
