@@ -26,7 +26,7 @@ from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.settings.values import Count, Positive
 from nfv_torchrl.state_checks import check_keys, check_list, check_tensor, check_whole
 from nfv_torchrl.training.env_state import EnvState
-from nfv_torchrl.training.workers import Part, WorkerCollector, unpack_worker
+from nfv_torchrl.training.workers import Answers, Part, WorkerCollector, unpack_worker
 
 MakeEnv = Callable[[Sequence[Scenario], int], NFVEnv]
 """Makes an environment of scenarios and a batch size. Other processes get a copy of it."""
@@ -224,7 +224,7 @@ class MultiSync(Single):
     def _workers(
         self, kind: type[BaseCollector], policy: TensorDictModuleBase, device: torch.device, frames: int, **more: Any
     ) -> BaseCollector:
-        return kind(
+        collector: Any = kind(
             self._parts(),
             policy,
             frames_per_batch=frames,
@@ -238,6 +238,10 @@ class MultiSync(Single):
             auto_register_policy_transforms=False,
             **more,
         )
+        for scheme in collector._weight_sync_schemes.values():
+            for number, queue in scheme._ack_queues.items():
+                scheme._ack_queues[number] = Answers(queue, collector.procs[number])
+        return collector
 
     def _batches(self) -> Iterator[TensorDictBase]:
         assert self.collector is not None

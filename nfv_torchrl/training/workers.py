@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import signal
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from queue import Empty
 from typing import Any
 
 import numpy as np
@@ -18,6 +22,9 @@ from torchrl.collectors import Collector
 from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.env_state import EnvState
+
+SECONDS_BETWEEN_LOOKS = 0.5
+"""At whether a worker that says nothing is still there."""
 
 
 @dataclass
@@ -73,6 +80,29 @@ class WorkerCollector(Collector):
         """Environments and random numbers as one tensor of bytes, which any channel carries."""
         state = {"env": EnvState(self.env).state_dict(), "random": torch.get_rng_state()}
         return OrderedDict(state=torch.from_numpy(np.frombuffer(pickle.dumps(state), np.uint8).copy()))
+
+
+class Answers:
+    """A queue in which a worker says that it has the weights; TorchRL would wait for a dead one for ever."""
+
+    def __init__(self, queue: Any, process: BaseProcess) -> None:
+        self._queue, self._process = queue, process
+
+    def get(self, timeout: float | None = None) -> Any:
+        """The next answer, also for a worker that is gone: what it fails at is said where its next batch is asked for.
+
+        Raises:
+            queue.Empty: ``timeout`` (s) is over.
+        """
+        end = math.inf if timeout is None else time.monotonic() + timeout
+        while True:
+            try:
+                return self._queue.get(timeout=min(SECONDS_BETWEEN_LOOKS, max(end - time.monotonic(), 0)))
+            except Empty:
+                if not self._process.is_alive():
+                    return "updated"
+                if time.monotonic() >= end:
+                    raise
 
 
 def unpack_worker(state: Mapping[str, Any]) -> dict[str, Any]:

@@ -84,6 +84,8 @@ def test_a_worker_that_is_lost_ends_the_batches_with_one_error():
     batches = lost.start(policy, CPU)
     assert next(batches).shape == (4, 12)
     os.kill(lost.collector.procs[1].pid, signal.SIGKILL)
+    lost.collector.procs[1].join()
+    lost.send_policy()  # waits for nobody
     assert all(batch.shape == (4, 12) for batch in batches)  # it ends
     state = lost.state_dict()
     assert state == {"starts": 0, "parts": []}

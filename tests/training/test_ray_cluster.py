@@ -29,6 +29,7 @@ ENVIRONMENT = {
     **os.environ,
     "PYTHONPATH": str(ROOT),
     "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_raylet_start_wait_time_s": str(SECONDS),  # three nodes start on one machine
     "RAY_AUTH_MODE": "token",  # Ray wants both where a token is on the machine, and says so in a traceback
     "RAY_AUTH_TOKEN": secrets.token_hex(32),
 }
