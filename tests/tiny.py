@@ -41,13 +41,6 @@ def run(recipe: str, *overrides: str, cwd: Path | None = None) -> subprocess.Com
     return run_forked(ROOT / "recipes" / recipe, overrides, cwd, timeout=300)
 
 
-def start(recipe: str, *overrides: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """The same in a Python of its own, for recipes that start workers and trainings."""
-    return subprocess.run(
-        command(recipe, *overrides), cwd=cwd, capture_output=True, text=True, timeout=300, check=False
-    )
-
-
 def train(run_dir: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
     """Train a tiny DQN in ``run_dir``."""
     return run("dqn.py", f"run_dir={run_dir}", *TINY_SCENARIO, *TINY_TRAINING, *overrides, cwd=run_dir.parent)

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from inprocess import call
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tiny import TINY_SCENARIO, TINY_TRAINING, command, start
+from tiny import TINY_SCENARIO, TINY_TRAINING, command, run
 
 from nfv_torchrl.errors import AuditError, ScenarioError
 from nfv_torchrl.evaluation.audit import AuditReport
@@ -44,8 +44,8 @@ FOUR = ("aar_over_iterations", "aar_vs_nodes", "presence_probability", "decision
 
 
 def figures(folder: Path, *overrides: str, dqn: Sequence[str] = TINY_TRAINING) -> subprocess.CompletedProcess[str]:
-    """Run the recipe."""
-    return start("figures.py", *arguments(folder, *overrides, dqn=dqn), cwd=folder.parent)
+    """Run the recipe without workers, which would import everything once more each; test_parallel.py has them."""
+    return run("figures.py", *arguments(folder, *overrides, dqn=dqn), "parallel.jobs=1", cwd=folder.parent)
 
 
 def arguments(folder: Path, *overrides: str, dqn: Sequence[str] = TINY_TRAINING) -> list[str]:
