@@ -18,6 +18,12 @@ from nfv_torchrl import NFVEnv, Scenario, paper_scenario
 scenario: Scenario = paper_scenario(nodes=10)
 actions: str = NFVEnv(scenario, 4).num_actions
 """
+MYPY = """
+[mypy]
+[mypy-torch.*,torchrl.*,tensordict.*,numpy.*,numba.*,scipy.*,networkx.*,matplotlib.*,joblib.*,hydra.*,omegaconf.*]
+follow_imports = skip
+"""
+"""Types of other packages are not what is tried, and reading them would take most of the time."""
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +83,8 @@ def test_types_of_the_package_reach_a_users_script(home):
     script = home / "user.py"
     script.write_text(USER_SCRIPT)
     python = str(home / "env" / "bin" / "python")
-    options = ["--python-executable", python, "--cache-dir", str(home / "mypy")]
+    (home / "mypy.ini").write_text(MYPY)
+    options = ["--python-executable", python, "--cache-dir", str(home / "mypy"), "--config-file", "mypy.ini"]
     command = [sys.executable, "-m", "mypy", *options, str(script)]
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     done = subprocess.run(command, cwd=home, env=environment, capture_output=True, text=True, timeout=300)

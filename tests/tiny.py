@@ -38,7 +38,7 @@ def command(recipe: str, *overrides: str) -> list[str]:
 
 def run(recipe: str, *overrides: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run a recipe to its end and return what it printed."""
-    return run_forked(ROOT / "recipes" / recipe, overrides, cwd, timeout=300)
+    return run_forked(ROOT / "recipes" / recipe, overrides, cwd, timeout=900)  # on a busy machine, too
 
 
 def train(run_dir: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
