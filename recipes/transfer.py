@@ -4,6 +4,7 @@
     python recipes/transfer.py checkpoint=runs/candidate/best.pt
     python recipes/transfer.py checkpoint=runs/candidate/best.pt only=[paper_50,geant2009] seeds=10
     python recipes/transfer.py checkpoint=runs/evolution/best.pt rho=[0.5,1,2] draws=true seeds=10
+    python recipes/transfer.py checkpoints=[runs/plans/0/best.pt,runs/plans/1/best.pt]    # of several training seeds
 
 A policy fits a network that it was not trained on if its network serves any size, as ``network=candidate`` does. Every
 method on every network is a cell of its own, audited, that is not computed again.
@@ -24,28 +25,22 @@ from omegaconf import DictConfig, OmegaConf
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import csv_text
-from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
-from nfv_torchrl.evaluation.statistics import mean_interval, paired_difference
-from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.computing import compute_shown
-from nfv_torchrl.experiments.rows import paired_cost, values
+from nfv_torchrl.experiments.transfer import network_rows, transfer_tables, with_policies
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
-from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.settings.recipes import TransferSettings, read_settings
 from nfv_torchrl.training.cli import recipe, recipe_configs
 from nfv_torchrl.training.setup import run_folder
-
-POLICY = "checkpoint"
 
 
 @recipe("transfer")
 def main(cfg: DictConfig) -> None:
     read_settings(cfg, TransferSettings)
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
-    if config["checkpoint"] is None or not Path(config["checkpoint"]).is_file():
-        raise ScenarioError(f"checkpoint: {config['checkpoint']} is no file; name one, such as runs/candidate/best.pt")
+    files = policy_files(config)
+    config["method"] = with_policies(config["method"], files)
     store = CellStore(run_folder(config["output"], "output"), Path(__file__).parent)
     worlds = {label: read_scenario(label, overrides) for label, overrides in rows_wanted(config).items()}
     cells = {name: evaluations(config, name, world) for name, world in worlds.items()}
@@ -62,12 +57,27 @@ def main(cfg: DictConfig) -> None:
         f"{config['seeds']} {'scenario seeds with a workload seed each' if config['draws'] else 'workload seeds'}, "
         f"lifetimes {' or '.join(sorted(seen))}, colocation {' or '.join(sorted(colocation))}"
     )
-    table = transfer_table(rows, list(config["method"]), about)
+    if len(files) > 1:
+        about = f"{len(files)} training seeds, {about}"
+    tables = transfer_tables(rows, list(config["method"]), about)
     write_atomically(store.folder / "transfer.csv", csv_text(rows))
-    write_atomically(store.folder / "transfer.md", table.markdown() + "\n")
-    print(f"\n{table.text()}\n\nTable and cells: {store.folder}")
+    write_atomically(store.folder / "transfer.md", "\n\n".join(each.markdown() for each in tables) + "\n")
+    print("", *(each.text() for each in tables), f"Tables and cells: {store.folder}", sep="\n\n")
     if failures:
         raise ScenarioError("\n  ".join(["some runs failed:", *(f"{key}: {text}" for key, text in failures.items())]))
+
+
+def policy_files(config: Mapping[str, Any]) -> list[str]:
+    """The policies, one for each training seed.
+
+    Raises:
+        ScenarioError: there is none, or one is no file.
+    """
+    files = config["checkpoints"] or [config["checkpoint"]]
+    for file in files:
+        if file is None or not Path(file).is_file():
+            raise ScenarioError(f"checkpoint: {file} is no file; name one, such as runs/candidate/best.pt")
+    return list(files)
 
 
 def chosen(config: Mapping[str, Any]) -> list[str]:
@@ -120,38 +130,6 @@ def seeds_of(config: Mapping[str, Any]) -> dict[str, list[int]]:
     """The seeds of every cell; with ``draws`` each workload seed meets the network of a scenario seed of its own."""
     seeds = list(range(config["seeds"]))
     return {"seeds": seeds, "scenario_seeds": seeds} if config["draws"] else {"seeds": seeds}
-
-
-def network_rows(
-    name: str, world: Mapping[str, Any], cells: Mapping[str, Cell], bound: Cell | None, store: CellStore
-) -> list[dict[str, Any]]:
-    """One row for each quantity of one network: mean over seeds and its interval."""
-    scenario = Scenario.from_config(world)
-    about = {"network": name, "nodes": scenario.substrate.num_nodes, "rho": round(scenario.offered_load(), 4)}
-    aar = {key: values(store.read(cell), "aar") for key, cell in cells.items()}
-    rows = [result_row(about, key, "aar", mean_interval(sample)) for key, sample in aar.items()]
-    for key in [key for key in cells if key != POLICY]:
-        difference, cost = paired_difference(aar[POLICY], aar[key]), paired_cost(store, cells[POLICY], cells[key])
-        rows.append(result_row(about, POLICY, "aar_difference", difference, key))
-        rows.append(result_row(about, POLICY, "paired_cost", cost, key))
-    if bound is not None and store.has(bound):
-        for kind, by_seed in store.read(bound)["bounds"].items():
-            rows.append(result_row(about, kind, "aar_bound", mean_interval(list(by_seed.values()))))
-    return rows
-
-
-def transfer_table(rows: Sequence[Mapping[str, Any]], methods: Sequence[str], about: str) -> Table:
-    """The rows as one line for each network."""
-    others = [key for key in methods if key != POLICY]
-    bounds = dict.fromkeys(row["method"] for row in rows if row["metric"] == "aar_bound")
-    columns = [
-        *(Column("aar", ".3f", key) for key in methods),
-        *(Column("aar_difference", "+.3f", POLICY, key) for key in others),
-        *(Column("paired_cost", ".2f", POLICY, key) for key in others),
-        *(Column("aar_bound", ".3f", kind) for kind in bounds),
-    ]
-    by = {"network": "", "nodes": "", "rho": ".2f"}
-    return pivot(f"One policy on every network: {about}", rows, by, columns)
 
 
 if __name__ == "__main__":

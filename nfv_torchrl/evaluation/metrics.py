@@ -15,7 +15,7 @@ import numpy as np
 from nfv_torchrl.evaluation.records import RunRecord
 from nfv_torchrl.evaluation.statistics import cost_ratio
 from nfv_torchrl.scenario.units import LEDGER_UNITS, to_ledger
-from nfv_torchrl.simulator.reasons import REASON_NAMES
+from nfv_torchrl.simulator.reasons import REASON_NAMES, Reason
 from nfv_torchrl.vocabulary import TABLE, Quantity, add
 
 Value = float | Mapping[str, float]
@@ -102,6 +102,12 @@ def cost_by_service(record: RunRecord) -> dict[str, float]:
 def rejected(record: RunRecord) -> dict[str, float]:
     came = counted(record)
     return {name: _share(came & (record.reason == code), came) for code, name in enumerate(REASON_NAMES)}
+
+
+@metric(TABLE["refused/SERVICE"])
+def refused_by_service(record: RunRecord) -> dict[str, float]:
+    chosen = record.reason == Reason.REJECTED_BY_POLICY
+    return {name: _share(chosen & counted(record) & mine, counted(record) & mine) for name, mine in _services(record)}
 
 
 @metric(TABLE["mean_hops"])

@@ -15,7 +15,7 @@ Row = Mapping[str, Any]
 
 
 def result_row(
-    about: Mapping[str, Any], method: str, metric: str, interval: Interval, reference: str = ""
+    about: Mapping[str, Any], method: str, metric: str, interval: Interval, reference: str = "", part: str = ""
 ) -> dict[str, Any]:
     """One number: the columns ``about``, then those that name it and its interval.
 
@@ -25,10 +25,11 @@ def result_row(
         metric: a name of the table of all quantities.
         interval: the number.
         reference: what the method is compared with.
+        part: in place of the name's word in capitals, such as the service of ``aar/SERVICE``.
     """
     numbers = (interval.mean, interval.low, interval.high, interval.n)
     named = dict(zip(INTERVAL_COLUMNS, numbers, strict=True))
-    return {**about, "method": method, "metric": TABLE[metric].name, **named, "reference": reference}
+    return {**about, "method": method, "metric": TABLE[metric].key(part), **named, "reference": reference}
 
 
 @dataclass(frozen=True)

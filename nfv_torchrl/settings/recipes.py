@@ -360,6 +360,7 @@ class TransferSettings:
     """See ``config/transfer.yaml``."""
 
     checkpoint: str | None
+    checkpoints: tuple[str, ...] | None
     method: Methods
     networks: dict[str, Overrides]
     only: Overrides | None

@@ -38,7 +38,10 @@ def check_any_size(loss: Any, networks: Any) -> None:
         ScenarioError: so it is.
     """
     if networks is not None and not q_network(loss).any_size:
-        raise ScenarioError("networks: substrates of several sizes need a network that fits any; set network=lookahead")
+        raise ScenarioError(
+            "networks: substrates of several sizes need a network that fits any; set network=lookahead, or preset=mlp, "
+            "which trains on the scenario's network alone"
+        )
 
 
 def check_compiler(device: torch.device) -> None:

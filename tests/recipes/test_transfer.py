@@ -11,7 +11,7 @@ import pytest
 from inprocess import call, recipe
 from tiny import TINY_SCENARIO
 
-from nfv_torchrl.experiments import rows
+from nfv_torchrl.experiments import transfer
 from nfv_torchrl.losses import DQN
 from nfv_torchrl.methods import policy_content, save_policy
 from nfv_torchrl.networks import CandidateNetwork, Sizes
@@ -43,18 +43,24 @@ def rows_of(folder):
     return {(row["network"], row["metric"], row["reference"] or row["method"]): row for row in rows}
 
 
+def metrics_of(aar):
+    """What is read of an evaluation: services accepted alike, of which the policy itself refused a hundredth."""
+    services = ("web", "voip", "video")
+    return {"aar": aar, **{f"aar/{name}": aar for name in services}, **{f"refused/{name}": 0.01 for name in services}}
+
+
 def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
     def pretend(cells, store, workers):
         for cell in cells:
             name = cell.label.removeprefix("paper-")
-            store.write(cell, {"rho": 1.0, "metrics": {str(s): {"aar": aar} for s, aar in enumerate(AAR[name])}})
+            store.write(cell, {"rho": 1.0, "metrics": {str(s): metrics_of(aar) for s, aar in enumerate(AAR[name])}})
         return {}
 
     def costs(cell, store):
         return {"0": np.array(COSTS[cell.label.removeprefix("paper-")])}
 
     monkeypatch.setattr(recipe("transfer"), "compute_shown", pretend)
-    monkeypatch.setattr(rows, "read_costs", costs)
+    monkeypatch.setattr(transfer, "read_costs", costs)
     call(
         "transfer",
         f"checkpoint={policy}",
@@ -70,7 +76,42 @@ def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
     assert float(paired["ci_high"]) == pytest.approx(0.03 + 4.302653 * 0.01 / math.sqrt(3))
     assert float(found["paper", "paired_cost", "greedy"]["mean"]) == pytest.approx(1.5)
     text = (tmp_path / "out" / "transfer.md").read_text()
-    assert "| paper | 10 | 0.85 | 0.800 ± 0.000 | 0.830 ± 0.025 | +0.030 ± 0.025 | 1.50 |" in text
+    assert "| paper | 10 | 0.85 | 0.8000 ± 0.0000 | 0.8300 ± 0.0248 | +0.0300 ± 0.0248 | 1.500 |" in text
+
+
+def test_policies_of_several_training_seeds_are_one_method(tmp_path, policy, monkeypatch):
+    """Their mean on each network seed; the interval is over network seeds, and the lowest training seed is told."""
+    aar = {"greedy": [0.80, 0.80], "checkpoint_0": [0.82, 0.86], "checkpoint_1": [0.80, 0.84]}
+
+    def pretend(cells, store, workers):
+        for cell in cells:
+            name = cell.label.removeprefix("paper-")
+            store.write(cell, {"rho": 1.0, "metrics": {str(s): metrics_of(one) for s, one in enumerate(aar[name])}})
+        return {}
+
+    cost = {"greedy": 4.0, "checkpoint_0": 6.0, "checkpoint_1": 4.0}
+    monkeypatch.setattr(recipe("transfer"), "compute_shown", pretend)
+    read = lambda cell, store: {str(s): np.array([cost[cell.label.removeprefix("paper-")]]) for s in (0, 1)}  # noqa: E731
+    monkeypatch.setattr(transfer, "read_costs", read)
+    second = tmp_path / "second.pt"
+    second.write_bytes(policy.read_bytes())
+    call(
+        "transfer",
+        f"checkpoints=[{policy},{second}]",
+        "only=[paper]",
+        "method=[greedy,checkpoint]",
+        "seeds=2",
+        f"output={tmp_path / 'out'}",
+    )
+    found = rows_of(tmp_path / "out")
+    # Means over training seeds 0.81 and 0.85: differences 0.01 and 0.05. Training seeds by themselves: 0.04 and 0.02.
+    paired = found["paper", "aar_difference", "greedy"]
+    assert float(paired["mean"]) == pytest.approx(0.03)
+    assert float(paired["ci_high"]) == pytest.approx(0.03 + 12.7062 * 0.02)
+    assert float(found["paper", "aar_difference_lowest", "greedy"]["mean"]) == pytest.approx(0.02)
+    assert float(found["paper", "paired_cost", "greedy"]["mean"]) == pytest.approx(1.25)
+    assert float(found["paper", "refused/voip", "checkpoint"]["mean"]) == pytest.approx(0.01)
+    assert "2 training seeds, 2 workload seeds" in (tmp_path / "out" / "transfer.md").read_text()
 
 
 def test_for_real_on_other_sizes_and_not_twice(tmp_path, policy):

@@ -129,6 +129,15 @@ def _rejected(decided: Decided) -> dict[str, float | None]:
     return {reason: _share(reasons.count(reason), len(reasons)) for reason in REASONS}
 
 
+@recomputes("refused/SERVICE")
+def _refused(decided: Decided) -> dict[str, float | None]:
+    shares = {}
+    for service in decided.files.services:
+        reasons = [answer.reason for answer in decided.arrived if answer.request.service == service]
+        shares[service] = _share(reasons.count("rejected_by_policy"), len(reasons))
+    return shares
+
+
 @recomputes("mean_hops")
 def _hops(decided: Decided) -> float | None:
     return _mean([answer.walk.hops for answer in decided.accepted])

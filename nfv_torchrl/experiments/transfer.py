@@ -1,0 +1,118 @@
+"""One policy, or those of several training seeds, on many networks: from cells to rows and tables."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
+from nfv_torchrl.evaluation.statistics import Interval, cost_ratio, mean_interval
+from nfv_torchrl.evaluation.tables import Table
+from nfv_torchrl.experiments.cells import Cell, CellStore
+from nfv_torchrl.experiments.rows import values
+from nfv_torchrl.experiments.work import read_costs
+from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.vocabulary import TABLE
+
+POLICY = "checkpoint"
+OF_SERVICES = ("aar/SERVICE", "refused/SERVICE")
+"""What is told for each service, of the policy."""
+Rows = list[dict[str, Any]]
+
+
+def with_policies(methods: Mapping[str, Any], files: Sequence[str]) -> dict[str, Any]:
+    """The methods, with one for each policy file: ``checkpoint``, or ``checkpoint_0``, ``checkpoint_1`` and so on."""
+    found = {}
+    for key, method in methods.items():
+        if key != POLICY:
+            found[key] = method
+            continue
+        for number, file in enumerate(files):
+            name = POLICY if len(files) == 1 else f"{POLICY}_{number}"
+            found[name] = {**method, "path": file, "name": name}
+    return found
+
+
+def is_policy(name: str) -> bool:
+    """Whether a method is the policy, of any training seed."""
+    return re.fullmatch(rf"{POLICY}(_\d+)?", name) is not None
+
+
+def network_rows(
+    name: str, world: Mapping[str, Any], cells: Mapping[str, Cell], bound: Cell | None, store: CellStore
+) -> Rows:
+    """One row for each quantity of one network: mean over its seeds and its interval.
+
+    The policies of several training seeds are one method: for each seed of the network their mean, so that the interval
+    says what other networks and requests would change. ``aar_difference_lowest`` is the mean of the training seed that
+    is lowest.
+    """
+    scenario = Scenario.from_config(world)
+    about = {"network": name, "nodes": scenario.substrate.num_nodes, "rho": round(scenario.offered_load(), 4)}
+    policies = [key for key in cells if is_policy(key)]
+    aar = {key: values(store.read(cell), "aar") for key, cell in cells.items()}
+    rows = [result_row(about, key, "aar", mean_interval(sample)) for key, sample in aar.items() if key not in policies]
+    rows.append(result_row(about, POLICY, "aar", mean_interval(_together([aar[key] for key in policies]))))
+    for service in scenario.catalogue.types:
+        for metric in OF_SERVICES:
+            name_of = TABLE[metric].key(service.name)
+            sample = _together([values(store.read(cells[key]), name_of) for key in policies])
+            rows.append(result_row(about, POLICY, metric, mean_interval(sample), part=service.name))
+    for key in [key for key in cells if key not in policies]:
+        differences = [np.subtract(aar[policy], aar[key]) for policy in policies]
+        rows.append(result_row(about, POLICY, "aar_difference", mean_interval(_together(differences)), key))
+        if len(policies) > 1:
+            lowest = min(float(np.mean(each)) for each in differences)
+            rows.append(
+                result_row(
+                    about, POLICY, "aar_difference_lowest", Interval(lowest, math.nan, math.nan, len(policies)), key
+                )
+            )
+        costs = _together([_cost_ratios(store, cells[policy], cells[key]) for policy in policies])
+        rows.append(result_row(about, POLICY, "paired_cost", mean_interval(costs), key))
+    if bound is not None and store.has(bound):
+        for kind, by_seed in store.read(bound)["bounds"].items():
+            rows.append(result_row(about, kind, "aar_bound", mean_interval(list(by_seed.values()))))
+    return rows
+
+
+def transfer_tables(rows: Rows, methods: Sequence[str], about: str) -> list[Table]:
+    """The rows as two tables with a line for each network: the policy beside the others, then its services.
+
+    Args:
+        rows: of ``network_rows``.
+        methods: names of all methods.
+        about: what the title says of seeds and rules.
+    """
+    others = [key for key in methods if not is_policy(key)]
+    bounds = dict.fromkeys(row["method"] for row in rows if row["metric"] == "aar_bound")
+    lowest = dict.fromkeys(row["reference"] for row in rows if row["metric"] == "aar_difference_lowest")
+    columns = [
+        *(Column("aar", ".4f", key) for key in (*others, POLICY)),
+        *(Column("aar_difference", "+.4f", POLICY, key) for key in others),
+        *(Column("aar_difference_lowest", "+.4f", POLICY, key, f"lowest training seed to {key}") for key in lowest),
+        *(Column("paired_cost", ".3f", POLICY, key) for key in others),
+        *(Column("aar_bound", ".4f", kind) for kind in bounds),
+    ]
+    by = {"network": "", "nodes": "", "rho": ".2f"}
+    parts = dict.fromkeys(row["metric"] for row in rows if "/" in row["metric"])
+    of_services = [Column(metric, ".4f", POLICY, title=metric.replace("/", " ")) for metric in sorted(parts)]
+    return [
+        pivot(f"One policy on every network: {about}", rows, by, columns),
+        pivot("The policy by service: AAR, and the share that it refused itself", rows, {"network": ""}, of_services),
+    ]
+
+
+def _together(samples: Sequence[Sequence[float]]) -> np.ndarray:
+    """The mean over training seeds [n] for each seed of the network, [s]."""
+    return np.mean(np.array(samples, dtype=float), axis=0)
+
+
+def _cost_ratios(store: CellStore, cell: Cell, reference: Cell) -> list[float]:
+    """For each seed, cost / cost of the reference over the requests that both accept."""
+    mine, other = read_costs(cell, store), read_costs(reference, store)
+    return [cost_ratio(costs, other[seed]) for seed, costs in mine.items()]
