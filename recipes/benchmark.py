@@ -95,13 +95,13 @@ def describe_machine() -> dict[str, Any]:
 
 
 def run_training(config: dict[str, Any]) -> Iterator[Row]:
-    """The DQN recipe itself with its defaults, in a process of its own; speeds as it logs them (wall time)."""
+    """The DQN recipe itself with the perceptron, in a process of its own; speeds as it logs them (wall time)."""
     choice = HydraConfig.get().runtime.choices["scenario"]
     for nodes in config["nodes"]:
         with tempfile.TemporaryDirectory(prefix="benchmark_") as folder:
             scenario = make_scenario(config, nodes, 0)
             arguments = [
-                f"scenario={choice}", f"scenario.substrate.nodes={nodes}",
+                "preset=mlp", f"scenario={choice}", f"scenario.substrate.nodes={nodes}",
                 f"scenario.arrival_rate={scenario.arrival_rate}", f"run_dir={quote(Path(folder) / 'run')}",
                 f"collector.total_frames={config['training']['frames']}",
                 "logger.interval=5", "eval.interval=0", "saving.interval=1000000", *config["training"]["overrides"],
@@ -139,7 +139,7 @@ PARTS: dict[str, tuple[str, Callable[[dict[str, Any]], Iterator[Row]]]] = {
     "workers": ("Collectors of dqn.py: wall time, with the learner at rest", run_workers),
     "rows": ("Rows of candidate and of lookahead: an environment's step with them, the same actions", run_rows),
     "gym": ("Gymnasium: MaskablePPO of sb3-contrib, rollouts alone and learning", run_gym),
-    "training": ("Training: recipes/dqn.py with its defaults", run_training),
+    "training": ("Training: recipes/dqn.py preset=mlp", run_training),
     "methods": ("Methods: decisions on loaded networks, simulation not counted", run_methods),
     "memory": ("Memory: arrays of a batch at the end of its horizon", run_memory),
 }

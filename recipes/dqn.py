@@ -1,9 +1,9 @@
 """Train a DQN to admit, place and route service chains (DQN-AR), explicitly, top to bottom.
 
     python recipes/dqn.py                        # scenario=paper preset=default
-    python recipes/dqn.py scenario=geant loss=dqn network.hidden=[512,512]
+    python recipes/dqn.py preset=mlp scenario=geant loss=dqn network.hidden=[512,512]
     python recipes/dqn.py run_dir=runs/dqn resume=true
-    python recipes/dqn.py network=candidate init_from=runs/imitation/best.pt
+    python recipes/dqn.py preset=mlp network=candidate init_from=runs/imitation/best.pt
     python recipes/dqn.py preset=plans           # one decision a request, among exact walks, on random networks
 
 Copy, paste and change it: every part below can be replaced without touching the others.

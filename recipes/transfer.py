@@ -1,6 +1,6 @@
 """One policy on many networks: the same weights, unchanged, against planners on the same requests.
 
-    python recipes/dqn.py network=candidate run_dir=runs/candidate
+    python recipes/dqn.py preset=mlp network=candidate run_dir=runs/candidate
     python recipes/transfer.py checkpoint=runs/candidate/best.pt
     python recipes/transfer.py checkpoint=runs/candidate/best.pt only=[paper_50,geant2009] seeds=10
     python recipes/transfer.py checkpoint=runs/evolution/best.pt rho=[0.5,1,2] draws=true seeds=10

@@ -11,7 +11,7 @@ import sys
 import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
-from tiny import ROOT
+from tiny import ROOT, with_preset
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.settings.recipes import RECIPES, check_recipe, read_settings
@@ -102,14 +102,15 @@ def test_any_value_of_any_key_is_taken_or_refused_in_one_line(name):
     ],
 )
 def test_refusals(name, overrides, message):
+    given = with_preset(overrides) if name == "dqn" else overrides
     with pytest.raises(ScenarioError, match=message):
-        check_recipe(name, overrides, RECIPE_FILES)
+        check_recipe(name, given, RECIPE_FILES)
 
 
 def test_every_preset_passes():
-    for preset in ("default", "paper", "across_requests", "recurrent"):
-        check_recipe("dqn", [f"preset={preset}"], RECIPE_FILES)
-    check_recipe("dqn", ["networks=random", "network=candidate", "eval.seeds=2"], RECIPE_FILES)
+    for preset in (RECIPE_FILES / "config" / "preset").glob("*.yaml"):
+        check_recipe("dqn", [f"preset={preset.stem}"], RECIPE_FILES)
+    check_recipe("dqn", ["preset=mlp", "networks=random", "network=candidate", "eval.seeds=2"], RECIPE_FILES)
 
 
 def test_seeds_are_a_number_or_a_list():
@@ -134,7 +135,7 @@ def test_seeds_are_a_number_or_a_list():
 )
 def test_hydra_names_the_nearest_key(arguments, message):
     with initialize_config_dir(str(RECIPE_FILES / "config"), version_base=None), pytest.raises(Exception) as raised:
-        compose("dqn", arguments)
+        compose("dqn", ["preset=mlp", *arguments])
     line = explain(raised.value, RECIPE_FILES, "dqn", arguments)
     assert line.startswith(message) and "\n" not in line
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from forked import run_forked
@@ -41,6 +42,12 @@ def run(recipe: str, *overrides: str, cwd: Path | None = None) -> subprocess.Com
     return run_forked(ROOT / "recipes" / recipe, overrides, cwd, timeout=900)  # on a busy machine, too
 
 
+def with_preset(overrides: Sequence[str]) -> list[str]:
+    """Overrides of dqn.py, with the quickest preset unless they name one."""
+    return [*([] if any(text.startswith("preset=") for text in overrides) else ["preset=mlp"]), *overrides]
+
+
 def train(run_dir: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
     """Train a tiny DQN in ``run_dir``."""
-    return run("dqn.py", f"run_dir={run_dir}", *TINY_SCENARIO, *TINY_TRAINING, *overrides, cwd=run_dir.parent)
+    arguments = [f"run_dir={run_dir}", *TINY_SCENARIO, *TINY_TRAINING, *with_preset(overrides)]
+    return run("dqn.py", *arguments, cwd=run_dir.parent)

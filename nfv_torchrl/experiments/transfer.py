@@ -53,30 +53,44 @@ def network_rows(
     """
     scenario = Scenario.from_config(world)
     about = {"network": name, "nodes": scenario.substrate.num_nodes, "rho": round(scenario.offered_load(), 4)}
-    policies = [key for key in cells if is_policy(key)]
-    aar = {key: values(store.read(cell), "aar") for key, cell in cells.items()}
-    rows = [result_row(about, key, "aar", mean_interval(sample)) for key, sample in aar.items() if key not in policies]
-    rows.append(result_row(about, POLICY, "aar", mean_interval(_together([aar[key] for key in policies]))))
-    for service in scenario.catalogue.types:
-        for metric in OF_SERVICES:
-            name_of = TABLE[metric].key(service.name)
-            sample = _together([values(store.read(cells[key]), name_of) for key in policies])
-            rows.append(result_row(about, POLICY, metric, mean_interval(sample), part=service.name))
-    for key in [key for key in cells if key not in policies]:
-        differences = [np.subtract(aar[policy], aar[key]) for policy in policies]
-        rows.append(result_row(about, POLICY, "aar_difference", mean_interval(_together(differences)), key))
-        if len(policies) > 1:
-            lowest = min(float(np.mean(each)) for each in differences)
-            rows.append(
-                result_row(
-                    about, POLICY, "aar_difference_lowest", Interval(lowest, math.nan, math.nan, len(policies)), key
-                )
-            )
-        costs = _together([_cost_ratios(store, cells[policy], cells[key]) for policy in policies])
-        rows.append(result_row(about, POLICY, "paired_cost", mean_interval(costs), key))
+    policies = [cell for key, cell in cells.items() if is_policy(key)]
+    others = {key: cell for key, cell in cells.items() if not is_policy(key)}
+    rows = [
+        result_row(about, key, "aar", mean_interval(values(store.read(cell), "aar"))) for key, cell in others.items()
+    ]
+    if policies:
+        rows += _own_rows(about, policies, [service.name for service in scenario.catalogue.types], store)
+        for key, cell in others.items():
+            rows += _paired_rows(about, policies, key, cell, store)
     if bound is not None and store.has(bound):
         for kind, by_seed in store.read(bound)["bounds"].items():
             rows.append(result_row(about, kind, "aar_bound", mean_interval(list(by_seed.values()))))
+    return rows
+
+
+def _own_rows(about: Mapping[str, Any], policies: Sequence[Cell], services: Sequence[str], store: CellStore) -> Rows:
+    """What the policy does by itself, in all and for each service."""
+    results = [store.read(cell) for cell in policies]
+    rows = [result_row(about, POLICY, "aar", _together([values(result, "aar") for result in results]))]
+    for service in services:
+        for metric in OF_SERVICES:
+            samples = [values(result, TABLE[metric].key(service)) for result in results]
+            rows.append(result_row(about, POLICY, metric, _together(samples), part=service))
+    return rows
+
+
+def _paired_rows(about: Mapping[str, Any], policies: Sequence[Cell], key: str, other: Cell, store: CellStore) -> Rows:
+    """The policy against another method, on the same requests."""
+    theirs = values(store.read(other), "aar")
+    differences = [np.subtract(values(store.read(cell), "aar"), theirs) for cell in policies]
+    costs = [_cost_ratios(store, cell, other) for cell in policies]
+    rows = [
+        result_row(about, POLICY, "aar_difference", _together(differences), key),
+        result_row(about, POLICY, "paired_cost", _together(costs), key),
+    ]
+    if len(policies) > 1:
+        lowest = Interval(min(float(np.mean(each)) for each in differences), math.nan, math.nan, len(policies))
+        rows.append(result_row(about, POLICY, "aar_difference_lowest", lowest, key))
     return rows
 
 
@@ -107,9 +121,9 @@ def transfer_tables(rows: Rows, methods: Sequence[str], about: str) -> list[Tabl
     ]
 
 
-def _together(samples: Sequence[Sequence[float]]) -> np.ndarray:
-    """The mean over training seeds [n] for each seed of the network, [s]."""
-    return np.mean(np.array(samples, dtype=float), axis=0)
+def _together(samples: Sequence[Sequence[float] | np.ndarray]) -> Interval:
+    """Over the seeds of the network, of the mean over training seeds; [training seeds, seeds of the network]."""
+    return mean_interval(np.mean(np.array(samples, dtype=float), axis=0))
 
 
 def _cost_ratios(store: CellStore, cell: Cell, reference: Cell) -> list[float]:

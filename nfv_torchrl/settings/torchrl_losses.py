@@ -228,7 +228,7 @@ def names_of(target: Any) -> set[str] | None:
 def forget_other_loss(config: DictConfig, overrides: Sequence[str]) -> None:
     """Where a command line names another class of loss, leave out what its yaml file says to the class before.
 
-    ``python recipes/dqn.py loss._target_=torchrl.objectives.DQNLoss`` begins with ``loss/double_dqn.yaml``, whose
+    ``recipes/dqn.py preset=mlp loss._target_=torchrl.objectives.DQNLoss`` begins with ``loss/double_dqn.yaml``, whose
     ``double`` is none of the new class's settings. What both have stays, and so does what the command line sets itself,
     so that a mistake there is still refused.
 

@@ -61,14 +61,17 @@ def _header(text: str) -> tuple[str, list[str]]:
 
 
 def _groups(text: str, config: Path) -> dict[str, list[str]]:
-    """Options of every group in the defaults of the recipe and of those defaults, the chosen ones with a ``*``."""
+    """Options of every group in the defaults of the recipe and of those defaults, the chosen ones with a ``*``.
+
+    A preset's choices take the place of the recipe's own.
+    """
     groups: dict[str, list[str]] = {}
     waiting = [text]
     while waiting:
         content = cast(dict[str, Any], OmegaConf.to_container(OmegaConf.create(waiting.pop(0))))
-        for group, chosen in _choices(content.get("defaults", [])):
+        for group, chosen, overrides in _choices(content.get("defaults", [])):
             folder = config / group
-            if group in groups or not folder.is_dir():
+            if not folder.is_dir() or (group in groups and not overrides):
                 continue
             names = sorted(path.stem for path in folder.glob("*.yaml") if not path.stem.startswith("_"))
             groups[group] = [f"{name}*" if name in chosen else name for name in names]
@@ -76,12 +79,13 @@ def _groups(text: str, config: Path) -> dict[str, list[str]]:
     return groups
 
 
-def _choices(defaults: list[Any]) -> Iterator[tuple[str, list[str]]]:
+def _choices(defaults: list[Any]) -> Iterator[tuple[str, list[str], bool]]:
+    """Of each entry of a list of defaults: the group, what is chosen, and whether in place of an earlier choice."""
     for entry in defaults:
         for group, chosen in entry.items() if isinstance(entry, Mapping) else ():
             if "hydra" not in group:
                 plain = group.removeprefix("optional ").removeprefix("override ").lstrip("/").split("@")[0]
-                yield plain, [chosen] if isinstance(chosen, str) else list(chosen or ())
+                yield plain, [chosen] if isinstance(chosen, str) else list(chosen or ()), "override " in group
 
 
 def _comments(text: str) -> dict[str, str]:

@@ -20,7 +20,7 @@ from nfv_torchrl.settings.recipes import RECIPES, read_settings
 from nfv_torchrl.training.overrides import explain
 
 RUN = {
-    "dqn": [*TINY_SCENARIO, *TINY_TRAINING, "run_dir=run"],
+    "dqn": ["preset=mlp", *TINY_SCENARIO, *TINY_TRAINING, "run_dir=run"],
     "policy_gradient": [*TINY_SCENARIO, "collector.num_envs=4", "collector.steps=8", "collector.total_frames=128",
                         "eval.seeds=[1000]", "logger.figures=false", "run_dir=run"],
     "evaluate": [*TINY_SCENARIO, "method=[random,greedy]", "seeds=1", "output=run"],

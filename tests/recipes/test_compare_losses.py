@@ -101,7 +101,14 @@ def test_cells_stay_what_they_were():
     found = {name: recipe("compare_losses").training_cell(config, name, 3).spec["overrides"] for name in ("dqn", "ppo")}
     mine = ["seed=3", "eval.seeds=[1000,1001]", "logger.figures=false"]
     target = "target.value_network_update_interval=100"
-    first = ["collector.total_frames=200000", target, "eval.interval=16", "loss=dqn", "exploration.over=100000"]
+    first = [
+        "collector.total_frames=200000",
+        target,
+        "eval.interval=16",
+        "preset=mlp",
+        "loss=dqn",
+        "exploration.over=100000",
+    ]
     assert found["dqn"] == [*first, *mine]
     assert found["ppo"] == ["collector.total_frames=200000", "eval.interval=16", "pg_loss=ppo", *mine]
 

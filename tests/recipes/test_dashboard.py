@@ -40,7 +40,7 @@ return {
 @pytest.fixture
 def address(tmp_path) -> Iterator[str]:
     """Where TensorBoard shows a run that has just been made."""
-    call("dqn", f"run_dir={tmp_path / 'run'}", *TINY_SCENARIO, *TINY_TRAINING)
+    call("dqn", "preset=mlp", f"run_dir={tmp_path / 'run'}", *TINY_SCENARIO, *TINY_TRAINING)
     command = [
         sys.executable,
         "-m",

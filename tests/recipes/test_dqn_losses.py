@@ -9,7 +9,7 @@ import pytest
 import torch
 from inprocess import call
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tiny import TINY_SCENARIO, TINY_TRAINING
+from tiny import TINY_SCENARIO, TINY_TRAINING, with_preset
 
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import DQN
@@ -73,7 +73,7 @@ def train(folder, *overrides):
         *TINY_TRAINING,
         "eval.interval=6",
         "saving.interval=3",
-        *overrides,
+        *with_preset(overrides),
     )
 
 

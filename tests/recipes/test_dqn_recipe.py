@@ -72,7 +72,7 @@ def test_a_killed_run_resumes_to_the_bit(tmp_path):
     """With priorities, which depend on every update so far."""
     whole, folder = tmp_path / "whole", tmp_path / "run"
     assert train(whole, "buffer=prioritized").returncode == 0
-    arguments = [f"run_dir={folder}", *TINY_SCENARIO, *TINY_TRAINING, "buffer=prioritized"]
+    arguments = [f"run_dir={folder}", "preset=mlp", *TINY_SCENARIO, *TINY_TRAINING, "buffer=prioritized"]
     process = subprocess.Popen(command("dqn.py", *arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     checkpoints = CheckpointFolder(folder)
     deadline = time.monotonic() + 120
@@ -104,7 +104,7 @@ def test_a_truncated_checkpoint_is_named_and_the_one_before_used(whole_run, tmp_
 
 def test_ctrl_c_saves_and_says_how_to_resume(tmp_path):
     folder = tmp_path / "run"
-    arguments = [f"run_dir={folder}", *TINY_SCENARIO, *TINY_TRAINING, "collector.total_frames=10_000_000"]
+    arguments = [f"run_dir={folder}", *TINY_SCENARIO, *TINY_TRAINING, "preset=mlp", "collector.total_frames=10_000_000"]
     process = subprocess.Popen(command("dqn.py", *arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not CheckpointFolder(folder).files() and process.poll() is None:
         time.sleep(0.01)

@@ -82,7 +82,7 @@ def test_the_integer_programme_is_a_method_too(capsys):
 def tiny_policy(path: Path, *overrides: str) -> None:
     """The file of a policy that has learnt nothing."""
     with initialize_config_dir(str(ROOT / "recipes" / "config"), version_base=None):
-        config = OmegaConf.to_container(compose("dqn", [*TINY_SCENARIO, *overrides]), resolve=True)
+        config = OmegaConf.to_container(compose("dqn", ["preset=mlp", *TINY_SCENARIO, *overrides]), resolve=True)
     scenario = Scenario.from_config(config["scenario"])
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=config["one_hot"]))
     loss = instantiate(config["loss"], network=instantiate(config["network"]), sizes=sizes)

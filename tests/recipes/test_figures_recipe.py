@@ -49,7 +49,7 @@ def figures(folder: Path, *overrides: str, dqn: Sequence[str] = TINY_TRAINING) -
 
 
 def arguments(folder: Path, *overrides: str, dqn: Sequence[str] = TINY_TRAINING) -> list[str]:
-    return [f"output={folder}", *TINY, f"trained.dqn_ar.overrides={list(dqn)}", *overrides]
+    return [f"output={folder}", *TINY, f"trained.dqn_ar.overrides={['preset=mlp', *dqn]}", *overrides]
 
 
 def table(path: Path) -> list[dict[str, str]]:

@@ -47,7 +47,7 @@ OFFLINE = [
     "network.hidden=[8]",
 ]
 ARGUMENTS = {
-    "dqn": [*SMALL, "buffer.size=100", "buffer.batch_size=8", "buffer.warmup_frames=8"],
+    "dqn": ["preset=mlp", *SMALL, "buffer.size=100", "buffer.batch_size=8", "buffer.warmup_frames=8"],
     "policy_gradient": SMALL,
     "evolution": EVOLUTION,
     "offline": OFFLINE,

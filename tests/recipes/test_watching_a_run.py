@@ -34,7 +34,7 @@ SCENARIO = [
     "scenario.mean_lifetime=60",
 ]
 SETTINGS = [
-    *SCENARIO, *TINY_TRAINING, "logger.figures=true", "eval.interval=12", "collector.total_frames=1152",
+    "preset=mlp", *SCENARIO, *TINY_TRAINING, "logger.figures=true", "eval.interval=12", "collector.total_frames=1152",
     "eval.seeds=[1000,1001]",
 ]  # fmt: skip
 

@@ -69,7 +69,8 @@ class Still(torch.optim.SGD):
 @pytest.mark.parametrize(("recipe", "choice"), LOSSES)
 def test_an_update_never_asks_the_device_for_a_number(recipe, choice, monkeypatch):
     with initialize_config_dir(str(FOLDER), version_base=None):
-        config = compose(recipe, [choice, *NETWORK.get(choice, ["network.hidden=[8]"])])
+        preset = ["preset=mlp"] if recipe == "dqn" else []
+        config = compose(recipe, [choice, *preset, *NETWORK.get(choice, ["network.hidden=[8]"])])
     scenario = paper_scenario(horizon=20, substrate={"nodes": 4})
     sizes = Sizes.of(Simulator(scenario, 1, one_hot=config.one_hot))
     loss = make_loss(config.loss, instantiate(config.network), sizes)

@@ -56,7 +56,7 @@ def test_a_run_that_goes_astray_keeps_its_last_good_checkpoint(tmp_path, capsys)
     folder = tmp_path / "run"
     settings = [f"run_dir={folder}", *TINY_SCENARIO, *TINY_TRAINING, "logger.interval=1000", "saving.interval=1"]
     with pytest.raises(SystemExit):
-        call("dqn", *settings, "learner.lr=1e30", "learner.max_grad_norm=null")
+        call("dqn", "preset=mlp", *settings, "learner.lr=1e30", "learner.max_grad_norm=null")
     said = capsys.readouterr().err
     assert re.search(r"error: learner.lr: .* at update \d+, frame \d+; try a smaller learner.lr", said)
     kept = load_file(CheckpointFolder(folder).files()[-1])

@@ -40,8 +40,13 @@ def test_groups_have_all_options_and_mark_the_default(pages):
     assert line.split() == ["buffer", "prioritized", "recent", "uniform*"]
 
 
+def test_the_preset_chooses_in_place_of_the_recipe(pages):
+    (line,) = (line for line in pages["dqn"].splitlines() if line.startswith("  network ") and "mlp" in line)
+    assert "lookahead*" in line and "mlp*" not in line
+
+
 def test_values_are_those_that_would_be_used(pages):
-    assert "num_envs=64 steps=16 total_frames=600000" in pages["dqn"]  # of the default preset
+    assert "num_envs=64 steps=16 total_frames=200000" in pages["dqn"]  # of the default preset
 
 
 def test_a_recipe_prints_it(monkeypatch, capsys):

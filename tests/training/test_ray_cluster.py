@@ -107,7 +107,7 @@ def cluster():
 def dqn(run_dir: Path, address: str, *more: str) -> subprocess.Popen:
     settings = [f"run_dir={run_dir}", "collector=ray", f"collector.address={address}", "eval.interval=0"]
     return subprocess.Popen(
-        command("dqn.py", *TINY_SCENARIO, *TINY_TRAINING, *settings, *more),
+        command("dqn.py", "preset=mlp", *TINY_SCENARIO, *TINY_TRAINING, *settings, *more),
         env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
 
