@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -50,6 +50,16 @@ class Acting:
     def act_by(self, actor: TensorDictModule) -> None:
         """Make ``actor`` the policy. In a tuple, which PyTorch does not look into, it is not registered."""
         self._actor = (actor,)
+
+    def _apply(self, fn: Callable[..., Any], *args: Any, **more: Any) -> Any:
+        """What ``to`` and its like do, to the actor too.
+
+        It may have buffers of its own, and in a deep copy of the loss its parameters are copies of their own.
+        """
+        super()._apply(fn, *args, **more)  # type: ignore[misc]
+        for actor in getattr(self, "_actor", ()):
+            actor._apply(fn, *args, **more)
+        return self
 
     def prepare(self, data: TensorDictBase) -> TensorDictBase:
         """Single transitions: only the keys that the loss reads, [B, T] flattened."""

@@ -4,6 +4,7 @@ A GPU is waited for when Python needs such a number (``item``, ``float``, ``if``
 the CPU.
 """
 
+import copy
 from contextlib import contextmanager
 
 import pytest
@@ -68,20 +69,50 @@ class Still(torch.optim.SGD):
 
 @pytest.mark.parametrize(("recipe", "choice"), LOSSES)
 def test_an_update_never_asks_the_device_for_a_number(recipe, choice, monkeypatch):
+    loss, batch = loss_and_rows(recipe, choice)
     with initialize_config_dir(str(FOLDER), version_base=None):
-        preset = ["preset=mlp"] if recipe == "dqn" else []
-        config = compose(recipe, [choice, *preset, *NETWORK.get(choice, ["network.hidden=[8]"])])
-    scenario = paper_scenario(horizon=20, substrate={"nodes": 4})
-    sizes = Sizes.of(Simulator(scenario, 1, one_hot=config.one_hot))
-    loss = make_loss(config.loss, instantiate(config.network), sizes)
-    env = NFVEnv(scenario, 1, one_hot=config.one_hot, observations=q_network(loss).observations())
-    batch = some_rows(loss, env, steps=config.collector.steps)
+        config = compose(recipe, ["preset=mlp"] if recipe == "dqn" else [])
     updater = target_updater(config.target, loss) if recipe == "dqn" else NoUpdater()
     optimizer = Still(loss.parameters(), lr=1e-3)
     with waits(monkeypatch) as seen:
         gradient_step(loss, optimizer, batch, 10.0)
         updater.step()
     assert seen == WAITS.get(choice, [])
+
+
+def loss_and_rows(recipe, choice, place="cpu"):
+    """A loss with its parts on ``place``, and rows that a copy of it on the CPU would keep."""
+    preset = ["preset=mlp"] if recipe == "dqn" else []
+    with initialize_config_dir(str(FOLDER), version_base=None):
+        config = compose(recipe, [choice, *preset, *NETWORK.get(choice, ["network.hidden=[8]"])])
+    scenario = paper_scenario(horizon=20, substrate={"nodes": 4})
+    sizes = Sizes.of(Simulator(scenario, 1, one_hot=config.one_hot))
+    loss = make_loss(config.loss, instantiate(config.network), sizes)
+    env = NFVEnv(scenario, 1, one_hot=config.one_hot, observations=q_network(loss).observations())
+    rows = some_rows(loss, env, steps=config.collector.steps)
+    if place != "cpu":
+        with torch.device(place):
+            loss = make_loss(config.loss, instantiate(config.network), sizes)
+    return loss, rows
+
+
+@pytest.mark.parametrize(("recipe", "choice"), [pair for pair in LOSSES if pair[1] not in WAITS])
+def test_an_update_stays_where_the_loss_is(recipe, choice):
+    """On a device that knows shapes and no numbers, and refuses tensors of another place, as a GPU does."""
+    loss, rows = loss_and_rows(recipe, choice, "meta")
+    learned = gradient_step(loss, Still(loss.parameters(), lr=1e-3), rows.to("meta"), 10.0)
+    assert {value.device.type for value in learned.values()} == {"meta"}
+    assert {part.device.type for part in (*loss.actor.parameters(), *loss.actor.buffers())} == {"meta"}
+
+
+@pytest.mark.parametrize(("recipe", "choice"), LOSSES)
+def test_a_copy_that_moves_takes_its_actor_along(recipe, choice):
+    """The recipe tries things on a copy that it brings to the CPU; in place of a GPU, a copy of another dtype."""
+    loss, _ = loss_and_rows(recipe, choice)
+    moved = copy.deepcopy(loss).to(torch.float64)
+    parts = [*moved.actor.parameters(), *moved.actor.buffers()]
+    assert {part.dtype for part in parts if part.is_floating_point()} == {torch.float64}
+    assert {part.dtype for part in loss.actor.parameters()} == {torch.float32}
 
 
 def test_waiting_is_seen(monkeypatch):
