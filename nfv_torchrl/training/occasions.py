@@ -18,7 +18,7 @@ class Evaluations:
     Attributes:
         count: how many there are in all, with the one before the first iteration.
 
-    Example:
+    Examples:
         >>> [done for done in range(102) if Evaluations(25, 101).due(done)]
         [0, 25, 50, 75, 101]
     """
