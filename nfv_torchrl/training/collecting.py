@@ -5,8 +5,10 @@ Environment b has the same requests wherever it lives, because they depend on th
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import logging
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -250,9 +252,17 @@ class MultiSync(Single):
             try:
                 batch = next(deliveries)
             except Exception as error:
-                self.failure = error
+                self.failure = self._what_ended(error)
             else:
                 yield self._whole(batch)
+
+    def _what_ended(self, error: Exception) -> Exception:
+        """The process that is gone, if it is known; TorchRL may fail at ending the others before it names it."""
+        for number, process in enumerate(getattr(self.collector, "procs", ())):
+            with contextlib.suppress(ValueError):  # closed by TorchRL, which ends the others by SIGTERM
+                if process.exitcode not in (None, 0, -signal.SIGTERM):
+                    return RuntimeError(f"worker {number} ended with exit code {process.exitcode}")
+        return error
 
     def _whole(self, batch: TensorDictBase) -> TensorDictBase:
         return batch

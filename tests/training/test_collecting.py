@@ -89,7 +89,9 @@ def test_a_worker_that_is_lost_ends_the_batches_with_one_error():
     assert all(batch.shape == (4, 12) for batch in batches)  # it ends
     state = lost.state_dict()
     assert state == {"starts": 0, "parts": []}
-    with pytest.raises(TrainingError, match=r"^collector: a worker failed .* resume=true"):
+    with pytest.raises(
+        TrainingError, match=r"^collector: a worker failed .*\(worker 1 ended with exit code -9\).* resume=true"
+    ):
         lost.shutdown()
 
 
