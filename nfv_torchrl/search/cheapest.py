@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.search.both_ways import BothWays, make_both_ways, remember, search_both_ways
+from nfv_torchrl.search.hosting import Hosting, make_hosting, match_hosts
 from nfv_torchrl.search.labels import (
     FOUND,
     Critical,
@@ -38,8 +40,6 @@ POOL = 4096
 COLUMNS = 8
 LARGEST = 4 << 30
 """Bytes that the labels of one search may take."""
-ROUNDS_OF_SOME = 40
-"""Label searches in which walks remember some nodes with a function on some nodes, before they remember all on all."""
 
 
 @by_reference
@@ -50,6 +50,8 @@ class Scratch(NamedTuple):
     delay: ToGo
     labels: Labels
     critical: Critical
+    back: BothWays
+    hosting: Hosting
     walk: PlannedWalk
     vm_price: np.ndarray  # float64 [N, V, R], for callers that compute prices
     link_price: np.ndarray  # float64 [L]
@@ -68,11 +70,14 @@ def make_scratch(tables: Tables, pool: int = POOL, columns: int = COLUMNS) -> Sc
     _, nodes, vms, kinds = tables.vm_capacity.shape
     links = tables.link_capacity.shape[1]
     functions = tables.load.shape[1]
+    hosting = make_hosting(nodes, functions)
     return Scratch(
-        cost=make_to_go(nodes, links, functions),
-        delay=make_to_go(nodes, links, functions),
+        cost=make_to_go(nodes, links, functions, hosting.barred),
+        delay=make_to_go(nodes, links, functions, hosting.barred),
         labels=make_labels(nodes, functions, max(pool, 2 * vms + 2), columns),
         critical=make_critical((nodes, vms, kinds), links, functions, columns),
+        back=make_both_ways(tables),
+        hosting=hosting,
         # A walk that repeats no node between two placements is no longer than this.
         walk=make_walk((functions + 1) * (nodes + 1) + functions),
         vm_price=np.zeros((nodes, vms, kinds)),
@@ -83,18 +88,23 @@ def make_scratch(tables: Tables, pool: int = POOL, columns: int = COLUMNS) -> Sc
 
 
 def grow_scratch(tables: Tables, scratch: Scratch) -> Scratch:
-    """Twice the labels and twice the critical resources of ``scratch``.
+    """Twice the labels or twice the critical resources of ``scratch``, whichever it lacked.
 
     Raises:
         ScenarioError: a request needs more than ``LARGEST`` bytes of labels.
     """
-    size = 4 * scratch.labels.cost.size * scratch.critical.resource.size * 8
+    pool, columns = scratch.labels.cost.size, scratch.critical.resource.size
+    if scratch.critical.tracked[0] == columns:
+        columns *= 2
+    else:
+        pool *= 2
+    size = pool * (columns + 12) * 8
     if size > LARGEST:
         raise ScenarioError(
             f"the exact search of a request needs more than {LARGEST >> 30} GB of memory, since very many walks are as "
             "good as each other; use method=greedy here, or a smaller network or load"
         )
-    grown = make_scratch(tables, 2 * scratch.labels.cost.size, 2 * scratch.critical.resource.size)
+    grown = make_scratch(tables, pool, columns)
     grown.rounds[:] = scratch.rounds
     return grown
 
@@ -148,6 +158,8 @@ def cheapest_walk(problem, scratch):
     """
     critical = scratch.critical
     begin_request(problem, critical)
+    if problem.distinct and not match_hosts(problem, scratch.hosting):
+        return 0
     fill_cost_to_go(problem, scratch.cost)
     start = problem.ingress if problem.ingress >= 0 else best_start(problem, scratch.cost)
     if start < 0 or (problem.ingress >= 0 and scratch.cost.value[0, start] == np.inf):
@@ -165,7 +177,9 @@ def cheapest_walk(problem, scratch):
         return steps
     fill_delay_to_go(problem, scratch.delay)
     return _search_labels(
-        problem, scratch, Search(problem, scratch.cost.value, scratch.delay.value, scratch.labels, critical)
+        problem,
+        scratch,
+        Search(problem, scratch.cost.value, scratch.delay.value, scratch.labels, critical, scratch.hosting.barred),
     )
 
 
@@ -175,12 +189,20 @@ def cheapest_walk_within(problem, scratch, cost_to_go, delay_to_go):
     if problem.ingress >= 0 and cost_to_go[0, problem.ingress] == np.inf:
         return 0
     begin_request(problem, scratch.critical)
-    return _search_labels(problem, scratch, Search(problem, cost_to_go, delay_to_go, scratch.labels, scratch.critical))
+    if problem.distinct and not match_hosts(problem, scratch.hosting):
+        return 0
+    return _search_labels(
+        problem,
+        scratch,
+        Search(problem, cost_to_go, delay_to_go, scratch.labels, scratch.critical, scratch.hosting.barred),
+    )
 
 
 @part
 def _search_labels(problem, scratch, search):
     """Steps of the best walk by label searches, each with the resources that the walk before overused."""
+    if problem.distinct:
+        return search_both_ways(search, scratch.back, scratch.walk, scratch.rounds)
     searches = 0
     while True:
         searches += 1
@@ -193,13 +215,13 @@ def _search_labels(problem, scratch, search):
         if outcome == 0:
             scratch.rounds[min(searches, 3)] += 1
             return steps
-        if problem.distinct and searches >= ROUNDS_OF_SOME:
-            scratch.critical.nodes[:] = ~np.uint64(0)
 
 
 @part
 def _track(problem, scratch, steps):
     """Make critical what the walk overused: resources, or the number of steps. 0 if nothing was."""
+    if problem.distinct:
+        return remember(problem, scratch.walk, steps, scratch.critical)
     outcome = add_overused(problem, scratch.walk, steps, scratch.critical)
     if steps > problem.max_steps:
         scratch.critical.tracked[1] = 1

@@ -51,6 +51,7 @@ class Critical(NamedTuple):
     tail: np.ndarray  # int64 [F + 1, R], ledger units that the functions from i on take together
     link_tail: np.ndarray  # int64 [F + 1], most that a link can be asked for once i functions are placed
     nodes: np.ndarray  # uint64 [N, W], one bit a node: those with a function that a walk on a node remembers
+    holds: np.ndarray  # bool [N, C], whether a walk on a node remembers its use of a critical one; with ``distinct``
 
 
 @by_reference
@@ -74,6 +75,8 @@ class Labels(NamedTuple):
     heap_label: np.ndarray  # int64 [P]
     size: np.ndarray  # int64 [2]: labels in the pool, labels in the heap
     limit: np.ndarray  # float64 [1], $: labels whose walks cost more are not kept; inf: all are
+    found: np.ndarray  # float64 [1], $: what the walk costs that the search has ended with
+    moved: np.ndarray  # float64 [F + 1, N], $: least cost of a label that came by a hop and placed nothing with it
 
 
 def make_critical(shape: tuple[int, int, int], links: int, functions: int, columns: int) -> Critical:
@@ -87,6 +90,7 @@ def make_critical(shape: tuple[int, int, int], links: int, functions: int, colum
         tail=np.zeros((functions + 1, shape[2]), np.int64),
         link_tail=np.zeros(functions + 1, np.int64),
         nodes=np.zeros((shape[0], _words(shape[0])), np.uint64),
+        holds=np.zeros((shape[0], columns), np.bool_),
     )
 
 
@@ -102,6 +106,7 @@ class Search(NamedTuple):
     delay_to_go: np.ndarray  # float64 [F + 1, N], ms
     labels: Labels
     critical: Critical
+    barred: np.ndarray  # bool [F, N], functions that must not stand on a node; heeded with ``distinct``
 
 
 def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
@@ -124,6 +129,8 @@ def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
         heap_label=np.zeros(pool, np.int64),
         size=np.zeros(2, np.int64),
         limit=np.full(1, np.inf),
+        found=np.zeros(1),
+        moved=np.zeros((functions + 1, nodes)),
     )
 
 
@@ -133,7 +140,15 @@ def begin_request(problem, critical):
     for c in range(critical.tracked[0]):
         critical.column[critical.resource[c]] = -1
     critical.tracked[:] = 0
-    critical.nodes[:] = 0
+    if problem.distinct:
+        critical.nodes[:] = 0
+        critical.holds[:] = False
+    fill_tails(problem, critical)
+
+
+@inlined
+def fill_tails(problem, critical):
+    """What the rest of a chain can take at most."""
     last = problem.functions
     critical.tail[last, :] = 0
     critical.link_tail[last] = problem.rate_units[last]
@@ -151,7 +166,7 @@ def _vm_number(problem, node, vm, kind):
 
 
 @inlined
-def _link_number(problem, link):
+def link_number(problem, link):
     nodes, vms, kinds = problem.vm_offered.shape
     return count_vms(nodes, vms) * kinds + link
 
@@ -159,7 +174,7 @@ def _link_number(problem, link):
 @inlined
 def offered_of(problem, resource):
     """Ledger units that ``resource`` offers, a kind of a VM or a link."""
-    first_link = _link_number(problem, 0)
+    first_link = link_number(problem, 0)
     if resource >= first_link:
         return problem.link_offered[resource - first_link]
     node, vm = split_vm(resource // problem.kinds, problem.vm_offered.shape[1])
@@ -177,20 +192,18 @@ def add_overused(problem, walk, steps, critical):
     outcome = 0
     for j in range(steps):
         if walk.link[j] >= 0:
-            critical.used[_link_number(problem, walk.link[j])] += problem.rate_units[i]
+            critical.used[link_number(problem, walk.link[j])] += problem.rate_units[i]
         if walk.vm[j] >= 0:
             for kind in range(problem.kinds):
                 critical.used[_vm_number(problem, walk.node[j], walk.vm[j], kind)] += problem.load_units[i, kind]
             i += 1
     for j in range(steps):
         if walk.link[j] >= 0:
-            outcome = _mark(problem, critical, _link_number(problem, walk.link[j]), outcome)
+            outcome = _mark(problem, critical, link_number(problem, walk.link[j]), outcome)
         if walk.vm[j] >= 0:
             for kind in range(problem.kinds):
                 number = _vm_number(problem, walk.node[j], walk.vm[j], kind)
                 outcome = _mark(problem, critical, number, outcome)
-    if problem.distinct and _mark_nodes(walk, steps, critical) and outcome == 0:
-        return 1
     return outcome
 
 
@@ -210,21 +223,8 @@ def _mark(problem, critical, resource, outcome):
     return outcome
 
 
-@part
-def _mark_nodes(walk, steps, critical):
-    """Have nodes on which the walk places two functions remembered on the way between them; whether there were any."""
-    found = False
-    for j in range(steps):
-        for k in range(j):
-            if walk.vm[j] >= 0 and walk.vm[k] >= 0 and walk.node[j] == walk.node[k]:
-                for m in range(k, j):
-                    critical.nodes[walk.node[m], walk.node[j] // 64] |= _bit(walk.node[j])
-                found = True
-    return found
-
-
 @inlined
-def _bit(node):
+def node_bit(node):
     return np.uint64(1) << np.uint64(node % 64)
 
 
@@ -238,6 +238,8 @@ def search_labels(search, walk):
     problem, labels = search.problem, search.labels
     labels.first[:] = -1
     labels.size[:] = 0
+    if problem.distinct:
+        labels.moved[:] = np.inf
     label = _take(labels)
     labels.cost[label] = 0.0
     labels.delay[label] = 0.0
@@ -257,6 +259,7 @@ def search_labels(search, walk):
         if not labels.alive[label]:
             continue
         if labels.placed[label] == problem.functions and ends_at(problem, labels.node[label]):
+            labels.found[0] = labels.cost[label]
             return FOUND, _trace(labels, label, walk)
         if not _expand(search, label):
             return OVERFLOW, 0
@@ -312,6 +315,8 @@ def _open(search, parent, node, link, vm):
     """Extend ``parent`` by one step unless the result is infeasible or dominated."""
     problem, labels, critical = search.problem, search.labels, search.critical
     i = labels.placed[parent]
+    if problem.distinct and vm >= 0 and search.barred[i, node]:
+        return
     placed = i + 1 if vm >= 0 else i
     cost = labels.cost[parent]
     step_delay = 0.0
@@ -340,9 +345,11 @@ def _open(search, parent, node, link, vm):
         if not _meet(search, parent, label, node, vm):
             return
         # Of walks that cost the same those that have placed more go first: where many do, that is most of the work.
-        bound -= DEEPER_FIRST * placed * bound
+        bound -= DEEPER_FIRST * placed * (bound + 1.0)
     if critical.tracked[0] > 0 and not _use(search, parent, label, node, link, vm):
         return
+    if problem.distinct and (vm < 0 or placed == problem.functions) and cost < labels.moved[placed, node]:
+        labels.moved[placed, node] = cost
     if not _keep(search, label, node):
         return
     _take(labels)
@@ -360,7 +367,7 @@ def _meet(search, parent, label, node, vm):
     What is forgotten on the way only adds walks that are none, so that the cheapest stays a bound until it is one.
     """
     labels, remembered = search.labels, search.critical.nodes
-    word, bit = node // 64, _bit(node)
+    word, bit = node // 64, node_bit(node)
     if vm >= 0 and labels.nodes[parent, word] & bit:
         return False
     for w in range(labels.nodes.shape[1]):
@@ -378,7 +385,7 @@ def _use(search, parent, label, node, link, vm):
         labels.usage[label, c] = labels.usage[parent, c]
     i = labels.placed[parent]
     if link >= 0:
-        c = critical.column[_link_number(problem, link)]
+        c = critical.column[link_number(problem, link)]
         if c >= 0:
             labels.usage[label, c] += problem.rate_units[i]
             if not fits(problem.link_offered[link], labels.usage[label, c]):
@@ -390,6 +397,10 @@ def _use(search, parent, label, node, link, vm):
                 labels.usage[label, c] += problem.load_units[i, kind]
                 if not fits(problem.vm_offered[node, vm, kind], labels.usage[label, c]):
                     return False
+    if problem.distinct:
+        for c in range(critical.tracked[0]):
+            if not critical.holds[node, c]:
+                labels.usage[label, c] = 0
     return True
 
 
@@ -433,7 +444,7 @@ def _dominates(search, a, b):
         if labels.usage[a, c] > labels.usage[b, c]:
             resource = critical.resource[c]
             # More than the rest of a walk can need is as good as unused.
-            if resource >= _link_number(problem, 0):
+            if resource >= link_number(problem, 0):
                 need = critical.link_tail[placed]
             else:
                 need = critical.tail[placed, resource % problem.kinds]

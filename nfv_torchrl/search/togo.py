@@ -37,13 +37,18 @@ class ToGo(NamedTuple):
     link_weight: np.ndarray  # float64 [L], inf: cannot carry the request
     place_weight: np.ndarray  # float64 [F, N], best VM of the node, inf: none fits
     place_vm: np.ndarray  # int64 [F, N]
+    barred: np.ndarray  # bool [F, N], functions that must not stand on a node; none unless the caller says so
     entering: np.ndarray  # float64 [N], least weight from having stepped into a node on
     queue: np.ndarray  # int64 [N]
     queued: np.ndarray  # bool [N]
 
 
-def make_to_go(nodes: int, links: int, functions: int) -> ToGo:
-    """Scratch for networks of at most ``nodes`` and ``links`` and chains of at most ``functions``."""
+def make_to_go(nodes: int, links: int, functions: int, barred: np.ndarray | None = None) -> ToGo:
+    """Scratch for networks of at most ``nodes`` and ``links`` and chains of at most ``functions``.
+
+    Args:
+        barred: bool [F, N] that the caller fills; None: no function is barred from a node.
+    """
     layers = (functions + 1, nodes)
     return ToGo(
         value=np.zeros(layers),
@@ -53,6 +58,7 @@ def make_to_go(nodes: int, links: int, functions: int) -> ToGo:
         link_weight=np.zeros(links),
         place_weight=np.zeros((functions, nodes)),
         place_vm=np.zeros((functions, nodes), np.int64),
+        barred=np.zeros((functions, nodes), np.bool_) if barred is None else barred,
         entering=np.zeros(nodes),
         queue=np.zeros(nodes, np.int64),
         queued=np.zeros(nodes, np.bool_),
@@ -89,7 +95,7 @@ def weigh_places(problem, to_go, by_delay):
             to_go.place_weight[i, node] = np.inf
         for vm in range(problem.vm_count[node]):
             for i in range(problem.functions):
-                if vm_fits(problem, node, vm, i):
+                if vm_fits(problem, node, vm, i) and not to_go.barred[i, node]:
                     weight = place_delay(problem, node, vm, i) if by_delay else place_cost(problem, node, vm, i)
                     if weight < to_go.place_weight[i, node]:
                         to_go.place_weight[i, node] = weight

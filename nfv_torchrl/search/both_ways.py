@@ -1,0 +1,268 @@
+"""Exact search where functions of a request stand on different nodes: label searches from both ends in turn.
+
+The bounds of ``togo`` let a walk go to and fro between two nodes, so where nodes or links are nearly full they are far
+below what a request costs. Each round here is a label search (``labels``) in which walks remember only some nodes with
+a function, and what they took of some links, and each only on the way on which it is needed (dynamic ng-routes, Roberti
+and Mingozzi 2014). What the walk found does that it must not is remembered from then on. Rounds go from the ingress and
+from the egress in turn: what a round has found out of every node is a bound for the next one, which goes the other way.
+Forgetting only adds walks that are none, so a bound stays one, and the first walk from the ingress that breaks nothing
+is the cheapest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nfv_torchrl.search.labels import (
+    FOUND,
+    Critical,
+    Labels,
+    Search,
+    fill_tails,
+    link_number,
+    node_bit,
+    search_labels,
+)
+from nfv_torchrl.search.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go
+from nfv_torchrl.search.walks import OVERFLOW, PlannedWalk, Problem
+from nfv_torchrl.simulator.compiled import part
+from nfv_torchrl.simulator.references import by_reference
+from nfv_torchrl.simulator.tables import Tables
+
+ROUNDING = 1e-9
+"""Share by which a bound is lowered, for sums that were made in another order."""
+
+
+@by_reference
+class BothWays(NamedTuple):
+    """The request seen from its end, and bounds that rounds improve; one for each thread."""
+
+    forth: np.ndarray  # float64 [F + 1, N], $: cost to go of walks from the ingress
+    barred: np.ndarray  # bool [F, N], functions that must not stand on a node
+    cost: ToGo  # of walks from the egress
+    delay: ToGo
+    rate: np.ndarray  # float64 [F + 1], and so on as in ``Problem``, all in the order in which walks from the egress meet it
+    rate_units: np.ndarray
+    load: np.ndarray
+    load_units: np.ndarray
+    work: np.ndarray
+    fixed_delay: np.ndarray
+    neighbour_link: np.ndarray
+
+
+def make_both_ways(tables: Tables) -> BothWays:
+    """Scratch for any network and request of ``tables``."""
+    nodes, links, functions = tables.vm_capacity.shape[1], tables.link_capacity.shape[1], tables.load.shape[1]
+    barred = np.zeros((functions, nodes), np.bool_)
+    return BothWays(
+        forth=np.zeros((functions + 1, nodes)),
+        barred=barred,
+        cost=make_to_go(nodes, links, functions, barred),
+        delay=make_to_go(nodes, links, functions, barred),
+        rate=np.zeros(tables.rate.shape[1:]),
+        rate_units=np.zeros(tables.rate_units.shape[1:], np.int64),
+        load=np.zeros(tables.load.shape[1:]),
+        load_units=np.zeros(tables.load_units.shape[1:], np.int64),
+        work=np.zeros(tables.work.shape[1:]),
+        fixed_delay=np.zeros(tables.fixed_delay.shape[1:]),
+        neighbour_link=np.zeros(tables.neighbour_link.shape[1:], tables.neighbour_link.dtype),
+    )
+
+
+@part
+def search_both_ways(search, back, walk, rounds):
+    """Steps of the cheapest walk on whose nodes no two functions meet, into ``walk``; 0: there is none, or OVERFLOW."""
+    problem, labels, critical = search.problem, search.labels, search.critical
+    last = problem.functions
+    for i in range(last + 1):
+        for node in range(problem.nodes):
+            back.forth[i, node] = search.cost_to_go[i, node]
+    forth = Search(problem, back.forth, search.delay_to_go, labels, critical, search.barred)
+    reverse = _turn(problem, search.barred, back)
+    found, steps = search_labels(forth, walk)
+    searches = 1
+    while found == FOUND:
+        outcome = remember(problem, walk, steps, critical)
+        if outcome == OVERFLOW:
+            return OVERFLOW
+        if outcome == 0:
+            rounds[min(searches, 3)] += 1
+            return steps
+        if searches == 1:
+            fill_cost_to_go(reverse, back.cost)
+            fill_delay_to_go(reverse, back.delay)
+        _learn(labels, problem, back.forth, back.cost.value)
+        fill_tails(reverse, critical)
+        found, steps = search_labels(
+            Search(reverse, back.cost.value, back.delay.value, labels, critical, back.barred), walk
+        )
+        if found != FOUND:
+            break
+        if remember(reverse, walk, steps, critical) == OVERFLOW:
+            return OVERFLOW
+        _learn(labels, reverse, back.cost.value, back.forth)
+        fill_tails(problem, critical)
+        found, steps = search_labels(forth, walk)
+        searches += 2
+    if found == OVERFLOW:
+        return OVERFLOW
+    rounds[min(searches, 3)] += 1
+    return 0
+
+
+@part
+def _turn(problem, barred, back):
+    """The request as walks from its egress meet it: last function first, links in the other direction."""
+    last = problem.functions
+    for i in range(last + 1):
+        back.rate[i] = problem.rate[last - i]
+        back.rate_units[i] = problem.rate_units[last - i]
+    for i in range(last):
+        back.work[i] = problem.work[last - 1 - i]
+        back.fixed_delay[i] = problem.fixed_delay[last - 1 - i]
+        for kind in range(problem.kinds):
+            back.load[i, kind] = problem.load[last - 1 - i, kind]
+            back.load_units[i, kind] = problem.load_units[last - 1 - i, kind]
+        for node in range(problem.nodes):
+            back.barred[i, node] = barred[last - 1 - i, node]
+    neighbour_link = problem.neighbour_link
+    if problem.full_duplex:
+        neighbour_link = back.neighbour_link
+        for node in range(problem.nodes):
+            for k in range(problem.degree[node]):
+                neighbour_link[node, k] = problem.neighbour_link[node, k] ^ 1
+    return Problem(
+        problem.net,
+        problem.nodes,
+        problem.links,
+        last,
+        problem.kinds,
+        problem.egress,
+        problem.ingress,
+        problem.colocation,
+        problem.distinct,
+        problem.full_duplex,
+        problem.one_rate,
+        problem.budget,
+        problem.max_steps + 1,  # a function on the egress may take a step here that it does not take there
+        back.rate,
+        back.rate_units,
+        back.load,
+        back.load_units,
+        back.work,
+        back.fixed_delay,
+        problem.degree,
+        problem.neighbour,
+        neighbour_link,
+        problem.vm_count,
+        problem.vm_speed,
+        problem.link_delay,
+        problem.link_speed,
+        problem.delay_to,
+        problem.vm_offered,
+        problem.link_offered,
+        problem.vm_price,
+        problem.link_price,
+    )
+
+
+@part
+def _learn(labels, problem, own, other):
+    """Raise the bounds ``other`` of walks from the other end by what the search for ``problem`` has found out.
+
+    From a node on the other search goes where this one came from. The cheapest way there that this search knows is a
+    bound, unless there is one that it has not looked at. That is part of a walk no cheaper than the one it has ended
+    with, of which what was still to come is at least ``own``.
+
+    Args:
+        labels: of the search.
+        problem: what it searched for.
+        own: float64 [F + 1, N], $: the bounds that it used.
+        other: float64 [F + 1, N], $.
+    """
+    least = labels.found[0] * (1.0 - ROUNDING)
+    for placed in range(1, problem.functions + 1):
+        for node in range(problem.nodes):
+            known = min(labels.moved[placed, node] * (1.0 - ROUNDING), least - own[placed, node])
+            if own[placed, node] == np.inf:
+                known = np.inf
+            if known > other[problem.functions - placed, node]:
+                other[problem.functions - placed, node] = known
+
+
+@part
+def remember(problem, walk, steps, critical):
+    """Have remembered what the walk should not have forgotten.
+
+    Returns:
+        0 if it keeps to all rules, 1 if it does not, OVERFLOW if there was no room.
+    """
+    met = _remember_nodes(walk, steps, critical)
+    outcome = _remember_links(problem, walk, steps, critical)
+    if steps > problem.max_steps:
+        critical.tracked[1] = 1
+        met = True
+    return 1 if met and outcome == 0 else outcome
+
+
+@part
+def _remember_nodes(walk, steps, critical):
+    """Have nodes on which the walk places two functions remembered on the way between them; whether there were any."""
+    found = False
+    for j in range(steps):
+        for k in range(j):
+            if walk.vm[j] >= 0 and walk.vm[k] >= 0 and walk.node[j] == walk.node[k]:
+                for m in range(k, j):
+                    critical.nodes[walk.node[m], walk.node[j] // 64] |= node_bit(walk.node[j])
+                found = True
+    return found
+
+
+@part
+def _remember_links(problem, walk, steps, critical):
+    """Have the use of links that the walk takes more of than is offered remembered between its first and last use."""
+    i = 0
+    for j in range(steps):
+        if walk.link[j] >= 0:
+            critical.used[link_number(problem, walk.link[j])] += problem.rate_units[i]
+        i += walk.vm[j] >= 0
+    outcome = 0
+    for j in range(steps):
+        link = walk.link[j]
+        if link < 0:
+            continue
+        number = link_number(problem, link)
+        if critical.used[number] > problem.link_offered[link]:
+            column = _column(critical, number)
+            if column < 0:
+                outcome = OVERFLOW
+            else:
+                outcome = 1 if outcome == 0 else outcome
+                _hold(walk, j, steps, critical, column)
+        critical.used[number] = 0
+    return outcome
+
+
+@part
+def _column(critical, number):
+    """Column of a critical resource, which it is given if it has none; -1 if there is none left."""
+    column = critical.column[number]
+    if column < 0 and critical.tracked[0] < critical.resource.size:
+        column = critical.tracked[0]
+        critical.resource[column] = number
+        critical.column[number] = column
+        critical.tracked[0] += 1
+    return column
+
+
+@part
+def _hold(walk, first, steps, critical, column):
+    """Have the nodes between step ``first``, which uses a link, and the last that uses it remember its use."""
+    final = first
+    for j in range(first + 1, steps):
+        if walk.link[j] == walk.link[first]:
+            final = j
+    for j in range(first, final):
+        critical.holds[walk.node[j], column] = True
