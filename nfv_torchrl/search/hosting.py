@@ -14,6 +14,7 @@ import numpy as np
 from nfv_torchrl.search.walks import vm_fits
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.references import by_reference
+from nfv_torchrl.simulator.steps import fits
 
 
 @by_reference
@@ -45,12 +46,8 @@ def make_hosting(nodes: int, functions: int) -> Hosting:
 @part
 def match_hosts(problem, hosting):
     """Fill ``hosting.barred``. False if the functions cannot all stand on nodes of their own."""
-    for i in range(problem.functions):
-        for node in range(problem.nodes):
-            room = False
-            for vm in range(problem.vm_count[node]):
-                room = room or vm_fits(problem, node, vm, i)
-            hosting.barred[i, node] = not room
+    for node in range(problem.nodes):
+        _bar_lacking(problem, hosting, node)
     hosting.function[:] = -1
     for i in range(problem.functions):
         if not _match(problem, hosting, i):
@@ -63,6 +60,27 @@ def match_hosts(problem, hosting):
                 if not hosting.moves[there, problem.functions]:
                     hosting.barred[i, node] = True
     return True
+
+
+@part
+def _bar_lacking(problem, hosting, node):
+    """Bar functions from a node that has no VM for them, or no links to come by and to go on by."""
+    most = second = -1  # units that its links offer
+    for k in range(problem.degree[node]):
+        offered = problem.link_offered[problem.neighbour_link[node, k]]
+        if offered > most:
+            most, second = offered, most
+        elif offered > second:
+            second = offered
+    for i in range(problem.functions):
+        room = False
+        for vm in range(problem.vm_count[node]):
+            room = room or vm_fits(problem, node, vm, i)
+        if room and 0 < i < problem.functions - 1 and not problem.full_duplex:
+            low = min(problem.rate_units[i], problem.rate_units[i + 1])
+            high = max(problem.rate_units[i], problem.rate_units[i + 1])
+            room = fits(most, low + high) or (fits(most, high) and fits(second, low))
+        hosting.barred[i, node] = not room
 
 
 @part
