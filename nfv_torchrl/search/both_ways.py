@@ -1,12 +1,12 @@
 """Exact search where functions of a request stand on different nodes: label searches from both ends in turn.
 
 The bounds of ``togo`` let a walk go to and fro between two nodes, so where nodes or links are nearly full they are far
-below what a request costs. Each round here is a label search (``labels``) in which walks remember only some nodes with
-a function, and what they took of some links, and each only on the way on which it is needed (dynamic ng-routes, Roberti
-and Mingozzi 2014). What the walk found does that it must not is remembered from then on. Rounds go from the ingress and
-from the egress in turn: what a round has found out of every node is a bound for the next one, which goes the other way.
-Forgetting only adds walks that are none, so a bound stays one, and the first walk from the ingress that breaks nothing
-is the cheapest.
+below what a request costs. Each round here is a label search (``labels``) in which walks remember only critical nodes
+with a function, and what they took of critical links, that only on nodes where it is needed (as in dynamic ng-routes,
+Roberti and Mingozzi 2014). What the walks found do that they must not is remembered from then on. Rounds go from the
+ingress and from the egress in turn: what a round has found out of every node is a bound for the next one, which goes
+the other way. Forgetting only adds walks that are none, so a bound stays one, and the first walk from the ingress that
+breaks nothing is the cheapest.
 """
 
 from __future__ import annotations
@@ -24,15 +24,19 @@ from nfv_torchrl.search.labels import (
     link_number,
     node_bit,
     search_labels,
+    trace,
 )
 from nfv_torchrl.search.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go
-from nfv_torchrl.search.walks import OVERFLOW, PlannedWalk, Problem
+from nfv_torchrl.search.walks import OVERFLOW, PlannedWalk, Problem, make_walk
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.tables import Tables
 
 ROUNDING = 1e-9
 """Share by which a bound is lowered, for sums that were made in another order."""
+
+CLOSE = 0.01
+"""Share by which other walks of a round may be dearer than the one found, for what they break to be remembered too."""
 
 
 @by_reference
@@ -50,6 +54,7 @@ class BothWays(NamedTuple):
     work: np.ndarray
     fixed_delay: np.ndarray
     neighbour_link: np.ndarray
+    other: PlannedWalk
 
 
 def make_both_ways(tables: Tables) -> BothWays:
@@ -68,6 +73,7 @@ def make_both_ways(tables: Tables) -> BothWays:
         work=np.zeros(tables.work.shape[1:]),
         fixed_delay=np.zeros(tables.fixed_delay.shape[1:]),
         neighbour_link=np.zeros(tables.neighbour_link.shape[1:], tables.neighbour_link.dtype),
+        other=make_walk((functions + 1) * (nodes + 1) + functions),
     )
 
 
@@ -90,6 +96,7 @@ def search_both_ways(search, back, walk, rounds):
         if outcome == 0:
             rounds[min(searches, 3)] += 1
             return steps
+        _remember_others(problem, labels, back.other, critical)
         if searches == 1:
             fill_cost_to_go(reverse, back.cost)
             fill_delay_to_go(reverse, back.delay)
@@ -102,6 +109,7 @@ def search_both_ways(search, back, walk, rounds):
             break
         if remember(reverse, walk, steps, critical) == OVERFLOW:
             return OVERFLOW
+        _remember_others(reverse, labels, back.other, critical)
         _learn(labels, reverse, back.cost.value, back.forth)
         fill_tails(problem, critical)
         found, steps = search_labels(forth, walk)
@@ -193,6 +201,18 @@ def _learn(labels, problem, own, other):
 
 
 @part
+def _remember_others(problem, labels, other, critical):
+    """Have remembered also what other walks have forgotten that are as cheap as the one found or little dearer."""
+    for node in range(problem.nodes):
+        label = labels.first[problem.functions, node]
+        while label >= 0:
+            if labels.cost[label] <= labels.found[0] * (1.0 + CLOSE):
+                steps = trace(labels, label, other)
+                remember(problem, other, steps, critical)
+            label = labels.following[label]
+
+
+@part
 def remember(problem, walk, steps, critical):
     """Have remembered what the walk should not have forgotten.
 
@@ -209,13 +229,12 @@ def remember(problem, walk, steps, critical):
 
 @part
 def _remember_nodes(walk, steps, critical):
-    """Have nodes on which the walk places two functions remembered on the way between them; whether there were any."""
+    """Have nodes on which the walk places two functions remembered; whether there were any."""
     found = False
     for j in range(steps):
         for k in range(j):
             if walk.vm[j] >= 0 and walk.vm[k] >= 0 and walk.node[j] == walk.node[k]:
-                for m in range(k, j):
-                    critical.nodes[walk.node[m], walk.node[j] // 64] |= node_bit(walk.node[j])
+                critical.nodes[walk.node[j] // 64] |= node_bit(walk.node[j])
                 found = True
     return found
 

@@ -4,9 +4,8 @@ A label is a walk from the ingress. One label dominates another at the same node
 cost and delay and leaves at least as much of every *critical* resource, one that an earlier round of the search was
 found to have used beyond what is offered. With no critical resource that is the usual shortest path problem with a
 resource constraint; adding resources only where they were overused keeps the search small and exact (decremental state
-space relaxation, Righini and Salani 2008). Where functions may not share a node, a walk remembers the nodes with a
-function that it comes back to only as long as it is on the nodes that led back (dynamic ng-routes, Roberti and Mingozzi
-2014); what it forgets is found out and remembered in the next round.
+space relaxation, Righini and Salani 2008). Where functions may not share a node, a walk likewise remembers only
+critical nodes, ones on which an earlier round has put two; ``both_ways`` says how its rounds go.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ class Critical(NamedTuple):
     used: np.ndarray  # int64 [N * V * R + L], scratch, all zero between uses
     tail: np.ndarray  # int64 [F + 1, R], ledger units that the functions from i on take together
     link_tail: np.ndarray  # int64 [F + 1], most that a link can be asked for once i functions are placed
-    nodes: np.ndarray  # uint64 [N, W], one bit a node: those with a function that a walk on a node remembers
+    nodes: np.ndarray  # uint64 [W], one bit a node: those on which a walk remembers to have a function
     holds: np.ndarray  # bool [N, C], whether a walk on a node remembers its use of a critical one; with ``distinct``
 
 
@@ -89,7 +88,7 @@ def make_critical(shape: tuple[int, int, int], links: int, functions: int, colum
         used=np.zeros(resources, np.int64),
         tail=np.zeros((functions + 1, shape[2]), np.int64),
         link_tail=np.zeros(functions + 1, np.int64),
-        nodes=np.zeros((shape[0], _words(shape[0])), np.uint64),
+        nodes=np.zeros(_words(shape[0]), np.uint64),
         holds=np.zeros((shape[0], columns), np.bool_),
     )
 
@@ -260,7 +259,7 @@ def search_labels(search, walk):
             continue
         if labels.placed[label] == problem.functions and ends_at(problem, labels.node[label]):
             labels.found[0] = labels.cost[label]
-            return FOUND, _trace(labels, label, walk)
+            return FOUND, trace(labels, label, walk)
         if not _expand(search, label):
             return OVERFLOW, 0
     return NONE, 0
@@ -362,18 +361,15 @@ def _open(search, parent, node, link, vm):
 
 @inlined
 def _meet(search, parent, label, node, vm):
-    """Remember nodes with a function; False if a second one is put on a node that is remembered.
-
-    What is forgotten on the way only adds walks that are none, so that the cheapest stays a bound until it is one.
-    """
-    labels, remembered = search.labels, search.critical.nodes
+    """Remember critical nodes with a function; False if a second one is put on one of them."""
+    labels, critical = search.labels, search.critical.nodes
     word, bit = node // 64, node_bit(node)
     if vm >= 0 and labels.nodes[parent, word] & bit:
         return False
     for w in range(labels.nodes.shape[1]):
-        labels.nodes[label, w] = labels.nodes[parent, w] & remembered[node, w]
+        labels.nodes[label, w] = labels.nodes[parent, w]
     if vm >= 0:
-        labels.nodes[label, word] |= bit & remembered[node, word]
+        labels.nodes[label, word] |= bit & critical[word]
     return True
 
 
@@ -454,7 +450,7 @@ def _dominates(search, a, b):
 
 
 @inlined
-def _trace(labels, label, walk):
+def trace(labels, label, walk):
     """Steps that lead to ``label``, into ``walk``; returns their number."""
     steps = labels.steps[label]
     for j in range(steps - 1, -1, -1):
