@@ -17,8 +17,7 @@ import numpy as np
 
 from nfv_torchrl.search.labels import (
     FOUND,
-    Critical,
-    Labels,
+    NONE,
     Search,
     fill_tails,
     link_number,
@@ -35,6 +34,10 @@ from nfv_torchrl.simulator.tables import Tables
 ROUNDING = 1e-9
 """Share by which a bound is lowered, for sums that were made in another order."""
 
+BROKEN = 3
+"""Outcome of a round: the walk found breaks something that was forgotten."""
+SHORT_ROUND = 4096
+"""Labels after which a round ends unfinished, since the other way may be far shorter. Doubled where both are not."""
 CLOSE = 0.01
 """Share by which other walks of a round may be dearer than the one found, for what they break to be remembered too."""
 
@@ -47,7 +50,9 @@ class BothWays(NamedTuple):
     barred: np.ndarray  # bool [F, N], functions that must not stand on a node
     cost: ToGo  # of walks from the egress
     delay: ToGo
-    rate: np.ndarray  # float64 [F + 1], and so on as in ``Problem``, all in the order in which walks from the egress meet it
+    rate: (
+        np.ndarray
+    )  # float64 [F + 1], and so on as in ``Problem``, all in the order in which walks from the egress meet it
     rate_units: np.ndarray
     load: np.ndarray
     load_units: np.ndarray
@@ -81,43 +86,49 @@ def make_both_ways(tables: Tables) -> BothWays:
 def search_both_ways(search, back, walk, rounds):
     """Steps of the cheapest walk on whose nodes no two functions meet, into ``walk``; 0: there is none, or OVERFLOW."""
     problem, labels, critical = search.problem, search.labels, search.critical
-    last = problem.functions
-    for i in range(last + 1):
+    for i in range(problem.functions + 1):
         for node in range(problem.nodes):
             back.forth[i, node] = search.cost_to_go[i, node]
     forth = Search(problem, back.forth, search.delay_to_go, labels, critical, search.barred)
     reverse = _turn(problem, search.barred, back)
-    found, steps = search_labels(forth, walk)
-    searches = 1
-    while found == FOUND:
-        outcome = remember(problem, walk, steps, critical)
+    fill_cost_to_go(reverse, back.cost)
+    fill_delay_to_go(reverse, back.delay)
+    labels.most[0] = SHORT_ROUND
+    searches, fruitless = 0, 0
+    while True:
+        searches += 1
+        if searches % 2 == 1:
+            outcome, steps = _round(forth, back.cost.value, back.other, walk)
+        else:
+            other_way = Search(reverse, back.cost.value, back.delay.value, labels, critical, back.barred)
+            outcome, steps = _round(other_way, back.forth, back.other, walk)
         if outcome == OVERFLOW:
             return OVERFLOW
-        if outcome == 0:
+        if outcome == NONE or (outcome == FOUND and searches % 2 == 1):
             rounds[min(searches, 3)] += 1
             return steps
-        _remember_others(problem, labels, back.other, critical)
-        if searches == 1:
-            fill_cost_to_go(reverse, back.cost)
-            fill_delay_to_go(reverse, back.delay)
-        _learn(labels, problem, back.forth, back.cost.value)
-        fill_tails(reverse, critical)
-        found, steps = search_labels(
-            Search(reverse, back.cost.value, back.delay.value, labels, critical, back.barred), walk
-        )
-        if found != FOUND:
-            break
-        if remember(reverse, walk, steps, critical) == OVERFLOW:
-            return OVERFLOW
-        _remember_others(reverse, labels, back.other, critical)
-        _learn(labels, reverse, back.cost.value, back.forth)
-        fill_tails(problem, critical)
-        found, steps = search_labels(forth, walk)
-        searches += 2
-    if found == OVERFLOW:
-        return OVERFLOW
-    rounds[min(searches, 3)] += 1
-    return 0
+        fruitless = 0 if outcome == BROKEN else fruitless + 1
+        if fruitless == 2:
+            labels.most[0] *= 2
+            fruitless = 0
+
+
+@part
+def _round(search, bounds, other, walk):
+    """One label search, after which ``bounds`` of the other way are better. Returns (outcome, steps)."""
+    problem, labels, critical = search.problem, search.labels, search.critical
+    fill_tails(problem, critical)
+    found, steps = search_labels(search, walk)
+    if found == FOUND:
+        outcome = remember(problem, walk, steps, critical)
+        if outcome == OVERFLOW:
+            return OVERFLOW, 0
+        if outcome == 1:
+            _remember_others(problem, labels, other, critical)
+            found = BROKEN
+    if found != OVERFLOW and found != NONE:
+        _learn(labels, problem, search.cost_to_go, bounds)
+    return found, steps
 
 
 @part
@@ -181,11 +192,11 @@ def _learn(labels, problem, own, other):
     """Raise the bounds ``other`` of walks from the other end by what the search for ``problem`` has found out.
 
     From a node on the other search goes where this one came from. The cheapest way there that this search knows is a
-    bound, unless there is one that it has not looked at. That is part of a walk no cheaper than the one it has ended
-    with, of which what was still to come is at least ``own``.
+    bound, unless there is one that it has not looked at. That is part of a walk no cheaper than ``labels.found``, of
+    which what was still to come is at least ``own``.
 
     Args:
-        labels: of the search.
+        labels: of the search, ended or left unfinished.
         problem: what it searched for.
         own: float64 [F + 1, N], $: the bounds that it used.
         other: float64 [F + 1, N], $.

@@ -56,9 +56,8 @@ def match_hosts(problem, hosting):
     for node in range(problem.nodes):
         there = hosting.function[node]
         for i in range(problem.functions):
-            if there >= 0 and i != there and not hosting.moves[there, i]:
-                if not hosting.moves[there, problem.functions]:
-                    hosting.barred[i, node] = True
+            if there >= 0 and i != there and not (hosting.moves[there, i] or hosting.moves[there, problem.functions]):
+                hosting.barred[i, node] = True
     return True
 
 

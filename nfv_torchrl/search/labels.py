@@ -35,6 +35,7 @@ from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
 FOUND = 1
 NONE = 0
+UNFINISHED = 2
 DEEPER_FIRST = 1e-12
 """Share of its bound by which a label goes earlier for every function that it has placed, with ``distinct``."""
 
@@ -74,7 +75,8 @@ class Labels(NamedTuple):
     heap_label: np.ndarray  # int64 [P]
     size: np.ndarray  # int64 [2]: labels in the pool, labels in the heap
     limit: np.ndarray  # float64 [1], $: labels whose walks cost more are not kept; inf: all are
-    found: np.ndarray  # float64 [1], $: what the walk costs that the search has ended with
+    most: np.ndarray  # int64 [1]: labels after which a search is left unfinished; with ``distinct`` only
+    found: np.ndarray  # float64 [1], $: what the walk found costs; of an unfinished search: at least
     moved: np.ndarray  # float64 [F + 1, N], $: least cost of a label that came by a hop and placed nothing with it
 
 
@@ -128,6 +130,7 @@ def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
         heap_label=np.zeros(pool, np.int64),
         size=np.zeros(2, np.int64),
         limit=np.full(1, np.inf),
+        most=np.zeros(1, np.int64),
         found=np.zeros(1),
         moved=np.zeros((functions + 1, nodes)),
     )
@@ -232,7 +235,8 @@ def search_labels(search, walk):
     """Cheapest walk within the delay that does not overuse a critical resource, into ``walk``.
 
     Returns:
-        (FOUND, steps), (NONE, 0) if there is no such walk, (OVERFLOW, 0) if the pool is too small.
+        (FOUND, steps), (NONE, 0) if there is no such walk, (OVERFLOW, 0) if the pool is too small, (UNFINISHED, 0) with
+        ``distinct`` after ``labels.most``.
     """
     problem, labels = search.problem, search.labels
     labels.first[:] = -1
@@ -254,6 +258,9 @@ def search_labels(search, walk):
     elif not _open_everywhere(search, label):
         return OVERFLOW, 0
     while labels.size[1] > 0:
+        if problem.distinct and labels.size[0] > labels.most[0]:
+            labels.found[0] = labels.heap_key[0]
+            return UNFINISHED, 0
         label = _pop(labels)
         if not labels.alive[label]:
             continue
