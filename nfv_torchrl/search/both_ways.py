@@ -50,9 +50,7 @@ class BothWays(NamedTuple):
     barred: np.ndarray  # bool [F, N], functions that must not stand on a node
     cost: ToGo  # of walks from the egress
     delay: ToGo
-    rate: (
-        np.ndarray
-    )  # float64 [F + 1], and so on as in ``Problem``, all in the order in which walks from the egress meet it
+    rate: np.ndarray  # float64 [F + 1], and so on as in ``Problem``, in the order in which these walks meet it
     rate_units: np.ndarray
     load: np.ndarray
     load_units: np.ndarray
@@ -93,18 +91,17 @@ def search_both_ways(search, back, walk, rounds):
     reverse = _turn(problem, search.barred, back)
     fill_cost_to_go(reverse, back.cost)
     fill_delay_to_go(reverse, back.delay)
+    other_way = Search(reverse, back.cost.value, back.delay.value, labels, critical, back.barred)
     labels.most[0] = SHORT_ROUND
     searches, fruitless = 0, 0
     while True:
         searches += 1
-        if searches % 2 == 1:
-            outcome, steps = _round(forth, back.cost.value, back.other, walk)
-        else:
-            other_way = Search(reverse, back.cost.value, back.delay.value, labels, critical, back.barred)
-            outcome, steps = _round(other_way, back.forth, back.other, walk)
+        from_ingress = searches % 2 == 1
+        turn, bounds = (forth, back.cost.value) if from_ingress else (other_way, back.forth)
+        outcome, steps = _round(turn, bounds, back.other, walk)
         if outcome == OVERFLOW:
             return OVERFLOW
-        if outcome == NONE or (outcome == FOUND and searches % 2 == 1):
+        if outcome == NONE or (outcome == FOUND and from_ingress):
             rounds[min(searches, 3)] += 1
             return steps
         fruitless = 0 if outcome == BROKEN else fruitless + 1
