@@ -16,7 +16,7 @@ RUN := $(or $(patsubst run_dir=%,%,$(filter run_dir=%,$(ARGS))),runs/dqn)
 EVALUATION := $(RUN)_evaluation
 TRAIN_ARGS := run_dir=$(RUN) $(filter-out run_dir=%,$(ARGS))
 # The comparison is made on the network that was trained on, so it gets the scenario's overrides and no others.
-EVALUATE_ARGS := method=[random,random_feasible,greedy,checkpoint] checkpoint=$(RUN)/best.pt seeds=10 \
+EVALUATE_ARGS := method=[random_feasible,greedy,myopic_optimal,checkpoint] checkpoint=$(RUN)/best.pt seeds=10 \
 	output=$(EVALUATION) $(filter scenario=% scenario.%,$(ARGS))
 
 .DEFAULT_GOAL := help
@@ -30,7 +30,7 @@ help:  ## Show this list
 
 setup: $(READY)  ## Make .venv with the pinned packages (the other targets do it when needed)
 
-train: $(READY)  ## Train a DQN on the default network, then compare it with the baselines
+train: $(READY)  ## Train a DQN on random networks, then compare it with the baselines on the scenario
 	$(VENV)/bin/python recipes/dqn.py $(foreach arg,$(TRAIN_ARGS),'$(arg)')
 	$(VENV)/bin/python recipes/evaluate.py $(foreach arg,$(EVALUATE_ARGS),'$(arg)')
 	@echo
