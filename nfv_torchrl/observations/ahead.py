@@ -89,7 +89,7 @@ def check_ahead(rules: Rules) -> None:
     if rules.distinct:
         raise ScenarioError(
             "network: looking ahead does not know placement=distinct, where the rest of a walk depends on all nodes "
-            "used so far; use network=candidate or network=mlp"
+            "used so far; use preset=mlp or network=candidate"
         )
 
 
