@@ -23,11 +23,16 @@ EVALUATED: Charts = {
     },
     "2 What does it still reject?": {
         "AAR by service": [r"eval/aar/"],
-        "rejected by reason, stacked: top is all": [r"eval/rejected_stacked/"],
+        "rejected by reason, stacked (if any)": [r"eval/rejected_stacked/"],
         "what its steps do, shares": [r"eval/steps/"],
     },
 }  # fmt: skip
 """Charts of evaluations, by category."""
+HELD_OUT: dict[str, list[str]] = {
+    "AAR on held-out networks": [r"eval/held_out_aar$"],
+    "their paired cost: agent / myopic_optimal": [r"eval/held_out_paired_cost$"],
+}
+"""Where the policy that is kept is chosen on held-out networks, beside the charts of the first category."""
 LEARNER: dict[str, list[str]] = {
     "loss": [r"train/loss$"],
     "Q of actions taken, or policy's entropy": [
@@ -37,6 +42,8 @@ LEARNER: dict[str, list[str]] = {
 }  # fmt: skip
 CURVES = [r"(train|eval)/(aar|anuc|cost_per_accepted|mean_hops)$"]
 """Of every run, so that learning curves can be drawn of any."""
+BY_SERVICE = [r"eval/aar/"]
+"""So that its chart is not empty where every service is accepted from the beginning."""
 SPEED: dict[str, list[str]] = {"frames, updates, requests per second": [r"speed/.*_per_second$"]}
 EVOLVED: Charts = {
     "1 Does it learn, and is it better than the rules?": {
@@ -53,28 +60,29 @@ EVOLVED: Charts = {
 """All charts of an evolution."""
 
 
-def charts(*, evaluated: bool, apart: bool) -> Charts:
+def charts(*, evaluated: bool, apart: bool, held_out: bool = False) -> Charts:
     """The charts of a training by loss.
 
     Args:
         evaluated: whether there are evaluations.
         apart: whether what the agent is compared with is in event files of its own (``RunLogger.apart``), with the
             agent's tags.
+        held_out: whether there are evaluations on held-out networks, too.
     """
     learner: Charts = {"3 How does the learner do?": LEARNER, "4 How fast is it?": SPEED}
     if not evaluated:
         return learner
-    if not apart:
-        return EVALUATED | learner
     first, *others = EVALUATED
-    own = {title: tags[:1] for title, tags in EVALUATED[first].items()} | {PAIRED: [r"eval/paired_cost$"]}
-    return {first: own} | {title: EVALUATED[title] for title in others} | learner
+    own = dict(EVALUATED[first])
+    if apart:
+        own = {title: tags[:1] for title, tags in own.items()} | {PAIRED: [r"eval/paired_cost$"]}
+    return {first: own | (HELD_OUT if held_out else {})} | {title: EVALUATED[title] for title in others} | learner
 
 
 def written_always(tag: str) -> bool:
     """Whether a series is written though it never changes: lines that others are read against, and curves."""
-    first = next(iter(EVALUATED.values())) | next(iter(EVOLVED.values()))
-    return any(re.match(pattern, tag) for patterns in [*first.values(), CURVES] for pattern in patterns)
+    first = next(iter(EVALUATED.values())) | next(iter(EVOLVED.values())) | HELD_OUT
+    return any(re.match(pattern, tag) for patterns in [*first.values(), CURVES, BY_SERVICE] for pattern in patterns)
 
 
 def as_layout(charts_by_category: Charts) -> dict[str, dict[str, list]]:

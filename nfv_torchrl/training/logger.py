@@ -171,7 +171,9 @@ class RunLogger(EventLog):
         if not self.resumed:
             self.writer.add_text("config", f"```yaml\n{config_text}\n```", 0)
             evaluated = bool(config["eval"]["interval"])
-            self.writer.add_custom_scalars(as_layout(layout or charts(evaluated=evaluated, apart=self.apart)))
+            held_out = evaluated and config["eval"].get("networks") is not None
+            shown = layout or charts(evaluated=evaluated, apart=self.apart, held_out=held_out)
+            self.writer.add_custom_scalars(as_layout(shown))
         for summary in hparams_summaries(hyperparameters(config), metrics):
             self._add(summary)
 

@@ -19,7 +19,7 @@ from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
-from nfv_torchrl.training.layout import written_always
+from nfv_torchrl.training.layout import charts, written_always
 from nfv_torchrl.training.references import FILE, References, reference_methods
 from nfv_torchrl.vocabulary import without_row
 
@@ -173,3 +173,15 @@ def test_a_resumed_run_writes_the_same_points_and_computes_no_reference_again(ru
     steps = [event.step for event in again.Tensors("2 how it stands/text_summary")]
     assert steps == [event.step for event in events.Tensors("2 how it stands/text_summary")]
     layout_of(again)  # one, not two
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_where_weights_are_chosen_on_held_out_networks_the_first_charts_show_it(apart):
+    with_them, without = (charts(evaluated=True, apart=apart, held_out=held_out) for held_out in (True, False))
+    first = next(iter(with_them))
+    assert set(with_them[first]) - set(without[first]) == {
+        "AAR on held-out networks",
+        "their paired cost: agent / myopic_optimal",
+    }
+    assert all(with_them[other] == without[other] for other in with_them if other != first)
+    assert written_always("eval/held_out_aar") and written_always("eval/aar/web")
