@@ -80,6 +80,8 @@ def test_every_metric():
         "rejected/no_feasible_action": 0,
         "rejected/rejected_by_policy": 0,
         "rejected/invalid_action": 0,
+        "refused/duo": 0,
+        "refused/solo": 0,
         "mean_hops": 3,
         "mean_delay_ms": 895,
         "vm_utilisation": (50 + 30 + 30) / 3 / 330,
