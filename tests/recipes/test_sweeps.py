@@ -23,7 +23,7 @@ def test_a_sweep_trains_each_job_in_its_own_folder(tmp_path):
     )
     sweep = tmp_path / "sweep"
     arguments = [*TINY_SCENARIO, *TINY_TRAINING, "collector.total_frames=64", "eval.interval=0"]
-    done = run("dqn.py", "-m", "preset=mlp", "loss=dqn,n_step", *launcher, *arguments, f"run_dir={sweep}", cwd=tmp_path)
+    done = run("dqn.py", "-m", "loss=dqn,n_step", "preset=mlp", *launcher, *arguments, f"run_dir={sweep}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     jobs = sorted(path.name for path in sweep.iterdir() if path.is_dir())
     assert [name.split("__")[0] for name in jobs] == ["loss-dqn", "loss-n_step"]
