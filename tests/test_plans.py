@@ -139,6 +139,7 @@ def test_what_is_seen_by_hand():
 
 @given(st.integers(0, 10_000), st.booleans())
 @example(577, False)  # two walks that cost the same
+@example(5356, False)  # a horizon that has ended
 @settings(max_examples=12)
 def test_every_level_has_the_walk_of_the_rule_at_that_price(seed, colocation):
     """The levels that were not searched, too."""
@@ -153,6 +154,8 @@ def test_every_level_has_the_walk_of_the_rule_at_that_price(seed, colocation):
         rule = PricedPlanner(price=p * mean, steepness=env.menus.steepness)
         rule.plan_rows(world, np.arange(2), plans, lengths)
         for b in range(2):
+            if world.env[b].done:  # staggered into the end of its horizon: there is no request to plan
+                continue
             offered = [j for j in range(k + 1) if menu.mask[b, j]]
             assert (lengths[b] > 0) == bool(offered)
             if not offered:

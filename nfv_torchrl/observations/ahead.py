@@ -281,6 +281,7 @@ def _into(own, value):
         some.link_weight,
         some.place_weight,
         some.place_vm,
+        some.barred,
         some.entering,
         some.queue,
         some.queued,
