@@ -154,7 +154,7 @@ def test_every_level_has_the_walk_of_the_rule_at_that_price(seed, colocation):
         rule = PricedPlanner(price=p * mean, steepness=env.menus.steepness)
         rule.plan_rows(world, np.arange(2), plans, lengths)
         for b in range(2):
-            if world.env[b].done:  # staggered into the end of its horizon: there is no request to plan
+            if world.env["done"][b]:  # staggered into the end of its horizon: there is no request to plan
                 continue
             offered = [j for j in range(k + 1) if menu.mask[b, j]]
             assert (lengths[b] > 0) == bool(offered)
