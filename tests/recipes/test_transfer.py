@@ -49,17 +49,23 @@ def metrics_of(aar):
     return {"aar": aar, **{f"aar/{name}": aar for name in services}, **{f"refused/{name}": 0.01 for name in services}}
 
 
-def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
-    def pretend(cells, store, workers):
+def pretending(aar):
+    """In place of the work: cells with the AAR of each method on each seed."""
+
+    def compute(cells, store, workers):
         for cell in cells:
-            name = cell.label.removeprefix("paper-")
-            store.write(cell, {"rho": 1.0, "metrics": {str(s): metrics_of(aar) for s, aar in enumerate(AAR[name])}})
+            mine = aar[cell.label.removeprefix("paper-")]
+            store.write(cell, {"rho": 1.0, "metrics": {str(seed): metrics_of(one) for seed, one in enumerate(mine)}})
         return {}
 
+    return compute
+
+
+def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
     def costs(cell, store):
         return {"0": np.array(COSTS[cell.label.removeprefix("paper-")])}
 
-    monkeypatch.setattr(recipe("transfer"), "compute_shown", pretend)
+    monkeypatch.setattr(recipe("transfer"), "compute_shown", pretending(AAR))
     monkeypatch.setattr(transfer, "read_costs", costs)
     call(
         "transfer",
@@ -83,14 +89,8 @@ def test_policies_of_several_training_seeds_are_one_method(tmp_path, policy, mon
     """Their mean on each network seed; the interval is over network seeds, and the lowest training seed is told."""
     aar = {"greedy": [0.80, 0.80], "checkpoint_0": [0.82, 0.86], "checkpoint_1": [0.80, 0.84]}
 
-    def pretend(cells, store, workers):
-        for cell in cells:
-            name = cell.label.removeprefix("paper-")
-            store.write(cell, {"rho": 1.0, "metrics": {str(s): metrics_of(one) for s, one in enumerate(aar[name])}})
-        return {}
-
     cost = {"greedy": 4.0, "checkpoint_0": 6.0, "checkpoint_1": 4.0}
-    monkeypatch.setattr(recipe("transfer"), "compute_shown", pretend)
+    monkeypatch.setattr(recipe("transfer"), "compute_shown", pretending(aar))
     read = lambda cell, store: {str(s): np.array([cost[cell.label.removeprefix("paper-")]]) for s in (0, 1)}  # noqa: E731
     monkeypatch.setattr(transfer, "read_costs", read)
     second = tmp_path / "second.pt"
