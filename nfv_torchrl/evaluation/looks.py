@@ -29,6 +29,7 @@ LOOKS: dict[str, Look] = {
     "priced": Look("#56B4E9", "P"),
     "priced_admit": Look("#000000", "X"),
     "milp": Look("#B8860B", "h"),
+    "first_fit": Look("#7B68EE", "p"),
     "random_feasible": Look("#999999", "d"),
     "random": Look("#BBBBBB", "."),
     "untrained": Look("#666666", "<"),

@@ -1,6 +1,7 @@
 """Planners: each answers a request with a whole embedding, as actions of the environment."""
 
 from nfv_torchrl.planners.base import CompiledPlanner, Planner, over_rows
+from nfv_torchrl.planners.first_fit import FirstFitPlanner
 from nfv_torchrl.planners.greedy import GreedyPlanner
 from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.planners.milp import MilpPlanner
@@ -10,6 +11,7 @@ from nfv_torchrl.planners.tabu import TabuPlanner
 
 __all__ = [
     "CompiledPlanner",
+    "FirstFitPlanner",
     "GreedyPlanner",
     "LearnedPrices",
     "MilpPlanner",

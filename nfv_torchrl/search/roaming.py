@@ -92,7 +92,7 @@ def _follow_chain(problem, roaming):
         if node < 0:
             return NOWHERE
         roaming.tried[node] = True
-        steps = _write(roaming, 0, node, -1, vm)
+        steps = write_step(roaming, 0, node, -1, vm)
         first = 1
     for i in range(first, problem.functions):
         _route(problem, roaming, steps, node, i)
@@ -100,12 +100,12 @@ def _follow_chain(problem, roaming):
         node, vm = _nearest_place(problem, roaming, steps, here, i)
         if node < 0:
             return 0
-        steps = _go(roaming, steps, here, node, vm)
+        steps = write_route(roaming, steps, here, node, vm)
     if not ends_at(problem, node):
         _route(problem, roaming, steps, node, problem.functions)
         if roaming.distance[problem.egress] == np.inf:
             return 0
-        steps = _go(roaming, steps, node, problem.egress, -1)
+        steps = write_route(roaming, steps, node, problem.egress, -1)
     return steps
 
 
@@ -117,7 +117,7 @@ def _cheapest_start(problem, roaming):
         if roaming.tried[node]:
             continue
         for vm in range(problem.vm_count[node]):
-            if _has_room(problem, roaming, 0, node, vm, 0) and place_cost(problem, node, vm, 0) < least:
+            if has_room(problem, roaming, 0, node, vm, 0) and place_cost(problem, node, vm, 0) < least:
                 best, best_vm, least = node, vm, place_cost(problem, node, vm, 0)
     return best, best_vm
 
@@ -127,17 +127,17 @@ def _nearest_place(problem, roaming, steps, here, i):
     """Node and VM where route and placement of function ``i`` cost least; -1 if there is none."""
     best, best_vm, least = -1, -1, np.inf
     for node in range(problem.nodes):
-        if roaming.distance[node] == np.inf or not _may_stand(problem, roaming, steps, here, node):
+        if roaming.distance[node] == np.inf or not may_stand(problem, roaming, steps, here, node):
             continue
         for vm in range(problem.vm_count[node]):
             cost = roaming.distance[node] + place_cost(problem, node, vm, i)
-            if cost < least and _has_room(problem, roaming, steps, node, vm, i):
+            if cost < least and has_room(problem, roaming, steps, node, vm, i):
                 best, best_vm, least = node, vm, cost
     return best, best_vm
 
 
 @part
-def _may_stand(problem, roaming, steps, here, node):
+def may_stand(problem, roaming, steps, here, node):
     """Whether the rule of placement lets the next function stand on ``node`` after ``steps`` steps to ``here``."""
     if problem.distinct:
         taken = False
@@ -148,7 +148,7 @@ def _may_stand(problem, roaming, steps, here, node):
 
 
 @part
-def _has_room(problem, roaming, steps, node, vm, i):
+def has_room(problem, roaming, steps, node, vm, i):
     """Whether a VM has room for function ``i`` beside those that the walk has placed there."""
     for kind in range(problem.kinds):
         taken, function = problem.load_units[i, kind], 0
@@ -182,14 +182,14 @@ def _route(problem, roaming, steps, here, i):
         for k in range(problem.degree[node]):
             link, after = problem.neighbour_link[node, k], problem.neighbour[node, k]
             weight = distance[node] + hop_cost(problem, link, i)
-            if weight < distance[after] and _carries(problem, roaming, steps, link, i):
+            if weight < distance[after] and carries(problem, roaming, steps, link, i):
                 distance[after] = weight
                 roaming.via_node[after] = node
                 roaming.via_link[after] = link
 
 
 @part
-def _carries(problem, roaming, steps, link, i):
+def carries(problem, roaming, steps, link, i):
     """Whether a link has room for segment ``i`` beside what the walk has taken of it."""
     taken, segment = problem.rate_units[i], 0
     for j in range(steps):
@@ -200,24 +200,24 @@ def _carries(problem, roaming, steps, link, i):
 
 
 @part
-def _go(roaming, steps, here, node, vm):
+def write_route(roaming, steps, here, node, vm):
     """Write the route from ``here`` to ``node``, with ``vm`` there (-1: only forwards); the new number of steps."""
     hops, at = 0, node
     while at != here:
         hops += 1
         at = roaming.via_node[at]
     if hops == 0:
-        return _write(roaming, steps, node, -1, vm)
+        return write_step(roaming, steps, node, -1, vm)
     at = node
     for step in range(steps + hops - 1, steps - 1, -1):
-        _write(roaming, step, at, roaming.via_link[at], -1)
+        write_step(roaming, step, at, roaming.via_link[at], -1)
         at = roaming.via_node[at]
     roaming.walk.vm[steps + hops - 1] = vm
     return steps + hops
 
 
 @part
-def _write(roaming, step, node, link, vm):
+def write_step(roaming, step, node, link, vm):
     roaming.walk.node[step] = node
     roaming.walk.link[step] = link
     roaming.walk.vm[step] = vm
