@@ -200,11 +200,19 @@ for _row in (
     Quantity("frames_per_second", "1/s", "decisions per second of training, with all that it stops for", ("speed",)),
     Quantity("updates_per_second", "1/s", "updates per second that the learner is at work", ("speed",)),
     Quantity("evaluation_seconds", SECONDS, "wall time of an evaluation, without its figures", ("speed",)),
+    Quantity("processor_seconds", SECONDS, "processor time of a training so far: collecting, learning, log lines and "
+             "checkpoints, without starting up, evaluations, compiling and other processes", ("speed", "figures")),
     Quantity("requests_per_second", "1/s", "requests that evolution plays per second", ("speed",)),
     # More of a run, for figures.
     Quantity("mean_steps", "steps", "steps of an accepted request's walk, mean", _FIGURES),
     Quantity("paper_reward", "", "the paper's reward, both weights 1, for an accepted request, mean", _FIGURES),
     Quantity("frames", "", "decisions of the whole horizon", _FIGURES),
+    Quantity("aar_share", SHARE, "`aar` over that of `myopic_optimal` on the same requests", _FIGURES),
+    Quantity("aar_share_untrained", SHARE, "the same before the training", _FIGURES),
+    Quantity("aar_share_best", SHARE, "its highest value in a training, untrained or at an evaluation", _FIGURES),
+    Quantity("seconds_to/SHARE", SECONDS, "`processor_seconds` at the first evaluation at which `aar_share` is at "
+             "least that", _FIGURES),
+    Quantity("frames_to/SHARE", "", "decisions of the training until then", _FIGURES),
 ):  # fmt: skip
     add(_row)
 

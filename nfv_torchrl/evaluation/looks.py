@@ -35,6 +35,13 @@ LOOKS: dict[str, Look] = {
     "untrained": Look("#666666", "<"),
     "bound: hindsight": Look("#777777", "*", "--"),
     "bound: blind": Look("#777777", "*", ":"),
+    # Agents by the names of their presets and recipes.
+    "mlp": _AGENT,
+    "candidate": Look("#E69F00", "P"),
+    "lookahead": Look("#009E73", "^"),
+    "plans": Look("#D55E00", "s"),
+    "nfvdeep": Look("#CC79A7", "D"),
+    "maskable_ppo": Look("#666666", "v"),
     # Losses, which are compared with each other and with the rules above.
     "dqn": _AGENT,
     "prioritized": Look("#EE6677", "X"),

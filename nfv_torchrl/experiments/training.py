@@ -24,6 +24,8 @@ from nfv_torchrl.training.checkpoint import CheckpointFolder
 from nfv_torchrl.training.setup import quote
 
 CURVES = ("aar", "anuc", "cost_per_accepted", "mean_hops")
+PROCESSOR_SECONDS = "processor_seconds"
+"""What a point of a held-out curve says of the training until then, where the run logged it."""
 running: subprocess.Popen[bytes] | None = None
 """The recipe that this process waits for."""
 stopping = False
@@ -46,7 +48,7 @@ def run_folder(cell: Cell, store: CellStore) -> Path:
 def train(cell: Cell, store: CellStore) -> dict[str, Any]:
     """Run the recipe of the cell to its end and return its curves: ``eval`` and ``train``, lists of points.
 
-    A point has ``frames`` and those of ``CURVES`` that the run logged.
+    A point has ``frames``, those of ``CURVES`` that the run logged, and in ``eval`` ``processor_seconds``.
 
     Raises:
         TrainingStopped: the recipe failed or was interrupted.
@@ -142,8 +144,11 @@ def read_curves(folder: Path) -> dict[str, list[dict[str, float]]]:
     curves = {}
     for group in ("eval", "train"):
         points: dict[int, dict[str, float]] = {}
-        for name in CURVES:
-            for event in events.Scalars(f"{group}/{name}") if f"{group}/{name}" in tags else ():
+        named = {f"{group}/{name}": name for name in CURVES}
+        if group == "eval":
+            named[f"speed/{PROCESSOR_SECONDS}"] = PROCESSOR_SECONDS
+        for tag, name in named.items():
+            for event in events.Scalars(tag) if tag in tags else ():
                 points.setdefault(event.step, {"frames": event.step})[name] = event.value
         curves[group] = [points[frames] for frames in sorted(points)]
     return curves

@@ -18,6 +18,7 @@ from nfv_torchrl.evaluation.metrics import accepted, compute_metrics, counted_co
 from nfv_torchrl.evaluation.records import RunRecord, write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.experiments.cells import Cell, CellStore
+from nfv_torchrl.experiments.gym_training import train_maskable_ppo
 from nfv_torchrl.experiments.training import drop_checkpoints, run_folder, train
 from nfv_torchrl.inputs import file_digests
 from nfv_torchrl.methods import Method, methods_from_config
@@ -107,6 +108,7 @@ WORK: dict[str, Callable[[Cell, CellStore], Result]] = {
     "presence": presence,
     "timing": timing,
     "training": train,
+    "maskable_ppo": train_maskable_ppo,
 }
 
 

@@ -513,6 +513,42 @@ class CompareLossesSettings:
 
 
 @dataclass(frozen=True)
+class TimedMethod:
+    """One entry of ``methods``."""
+
+    overrides: Overrides
+    recipe: str = "dqn"
+
+
+@dataclass(frozen=True)
+class MaskablePPO:
+    """How sb3-contrib's MaskablePPO is trained; what is not named is as it comes."""
+
+    frames: Count
+    evaluations: Count
+    num_envs: Count
+    steps: Count
+    batch_size: Count
+
+
+@dataclass(frozen=True)
+class TimeToQualitySettings:
+    """See ``config/time_to_quality.yaml``."""
+
+    scenario: ScenarioKeys
+    shares: Annotated[tuple[Positive, ...], Some]
+    seeds: Count
+    workloads: SeedList
+    only: Overrides | None
+    compute: bool
+    output: str
+    overrides: Overrides
+    settings: dict[str, Overrides]
+    methods: dict[str, TimedMethod]
+    maskable_ppo: MaskablePPO
+
+
+@dataclass(frozen=True)
 class TrainingSpeed:
     """How training is measured."""
 
@@ -596,6 +632,7 @@ RECIPES: dict[str, type] = {
     "milp_gap": MilpGapSettings,
     "offline": OfflineSettings,
     "policy_gradient": PolicyGradientSettings,
+    "time_to_quality": TimeToQualitySettings,
     "transfer": TransferSettings,
     "tune_priced": TunePricedSettings,
 }

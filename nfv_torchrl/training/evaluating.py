@@ -58,6 +58,7 @@ def evaluate_policy(
     Raises:
         TrainingError: weights are not finite; ``best.pt`` stays.
     """
+    logger.clock.stop()
     check_weights(loss, "loss", progress)
     seeds, frames = list_of_seeds("eval.seeds", config["eval"]["seeds"]), progress.frames
     references = _references(logger, folder, scenario, seeds) if config["logger"]["references"] else None
@@ -69,6 +70,7 @@ def evaluate_policy(
         values |= _compare(references, records, logger, frames)
     values |= (held_out := _held_out(logger, config, acting))
     values["speed/evaluation_seconds"] = time.perf_counter() - begun
+    values["speed/processor_seconds"] = logger.clock.seconds
     logger.scalars(values, frames)
     logger.scalars(_stacked(scores, logger), frames)
     _histograms(loss, acting, records, logger, frames)
@@ -79,6 +81,7 @@ def evaluate_policy(
         draw_pictures(records[0], references, logger, frames)
     if frames:
         _keep_best(loss, scenario, sizes, config, folder, progress, scores, held_out)
+    logger.clock.start()
 
 
 def _held_out(logger: RunLogger, config: Mapping[str, Any], acting: Method) -> dict[str, float]:

@@ -15,6 +15,7 @@ from tensorboard.compat.proto.summary_pb2 import Summary
 from tensordict import TensorDictBase
 from torch.utils.tensorboard import SummaryWriter
 
+from nfv_torchrl.training.clock import TrainingClock
 from nfv_torchrl.training.hyperparameters import METRICS, hparams_summaries, hyperparameters
 from nfv_torchrl.training.layout import Charts, as_layout, charts, written_always
 from nfv_torchrl.training.progress import Progress
@@ -93,6 +94,7 @@ class RunLogger(EventLog):
 
     Attributes:
         references: what the agent is compared with, once that is known.
+        clock: processor time of the training, from ``start`` on; evaluations stop it.
         held_out: once that is known, networks on which the best policy is chosen, or None.
         apart: whether its lines are in event files of their own, in folders below that of the run: TensorBoard gives
             them colours and names of their own. The many runs of a sweep have them among their own series.
@@ -109,6 +111,8 @@ class RunLogger(EventLog):
         self.references: References | None = None
         self.held_out: list[HeldOut | None] = []
         folder.carry("logged", self.series)
+        self.clock = TrainingClock()
+        folder.carry("clock", self.clock)
 
     def scalars(self, values: Mapping[str, float], frames: int) -> None:
         """Log each value under its tag."""
@@ -165,7 +169,8 @@ class RunLogger(EventLog):
     ) -> None:
         """Log the config as text and its numbers as hyperparameters, and which series stand in one chart.
 
-        ``metrics`` are the scalar tags that the HParams tab shows beside them. The summaries go into the run's own
+        ``metrics`` are the scalar tags that the HParams tab shows beside them. From now on
+        the clock runs. The summaries go into the run's own
         event file; ``SummaryWriter.add_hparams`` would open a run of its own for them.
         """
         if not self.resumed:
@@ -176,8 +181,10 @@ class RunLogger(EventLog):
             self.writer.add_custom_scalars(as_layout(shown))
         for summary in hparams_summaries(hyperparameters(config), metrics):
             self._add(summary)
+        self.clock.start()
 
     def close(self) -> None:
         """Write what is still in memory."""
+        self.clock.stop()
         for writer in (self.writer, *self._beside.values()):
             writer.close()
