@@ -108,6 +108,7 @@ def training_cell(config: Mapping[str, Any], name: str, seed: int) -> Cell:
         f"seed={seed}",
         f"eval.seeds=[{seeds}]",
         "logger.figures=false",
+        "logger.references=false",  # they are rows and lines of this recipe
     ]
     spec = {"recipe": f"{recipe}.py", "scenario": config["scenario"], "overrides": overrides, "policy": "best.pt"}
     return make_cell("training", f"{name}-{seed}", spec)

@@ -24,7 +24,6 @@ from nfv_torchrl.inputs import file_digests
 from nfv_torchrl.methods import Method, methods_from_config
 from nfv_torchrl.rewards import cost_scale
 from nfv_torchrl.scenario.scenario import Scenario
-from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.tables import build_tables
 
 Result = dict[str, Any]
@@ -58,11 +57,11 @@ def evaluate(cell: Cell, store: CellStore) -> Result:
     """
     spec = cell.spec
     scenarios = _scenarios(spec)
-    method = _Counted(_method(cell, store, scenarios))
-    records = run_method(scenarios, method, spec["seeds"])
+    records = run_method(scenarios, _method(cell, store, scenarios), spec["seeds"])
     metrics = {}
-    for record, frames in zip(records, method.frames, strict=True):
-        metrics[str(record.workload_seed)] = {**_audited(record), **_walks(record), "frames": int(frames)}
+    for record in records:
+        frames = int(record.step_offsets[-1])
+        metrics[str(record.workload_seed)] = {**_audited(record), **_walks(record), "frames": frames}
     _write_costs(store.path(cell).with_suffix(".npz"), records)
     return {"rho": fmean(scenario.offered_load() for scenario in scenarios), "metrics": metrics}
 
@@ -110,29 +109,6 @@ WORK: dict[str, Callable[[Cell, CellStore], Result]] = {
     "training": train,
     "maskable_ppo": train_maskable_ppo,
 }
-
-
-class _Counted:
-    """A method, and how many decisions each environment asked it for."""
-
-    def __init__(self, method: Method) -> None:
-        self.method = method
-        self.name, self.mask, self.one_hot = method.name, method.mask, method.one_hot
-        self.decides_admission = method.decides_admission
-        self._batches: list[np.ndarray] = []
-
-    @property
-    def frames(self) -> np.ndarray:
-        """Of all batches, one after the other, int64 [S]."""
-        return np.concatenate(self._batches)
-
-    def prepare(self, simulator: Simulator, seeds: Any) -> None:
-        self.method.prepare(simulator, seeds)
-        self._batches.append(np.zeros(simulator.batch_size, np.int64))
-
-    def act(self, simulator: Simulator) -> np.ndarray:
-        self._batches[-1] += simulator.world.env["done"] == 0
-        return self.method.act(simulator)
 
 
 def _scenarios(spec: Mapping[str, Any]) -> list[Scenario]:
