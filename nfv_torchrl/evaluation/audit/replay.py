@@ -326,7 +326,8 @@ class _Replay:
                     uses.append(((("vm", to, index), kind), amount))
                     self._take(here, *uses[-1])
                 at = Progress(to, at.placed + 1, at.stands_on | {to})
-            at = at._replace(node=to)
+            if at.node != to:
+                at = Progress(to, at.placed, at.stands_on)
         if request.egress != FREE and at.node != request.egress:
             self.problems.add(f"{where}: the walk ends on node {at.node}, not on the egress {request.egress}")
         if at.placed != len(service.load):
