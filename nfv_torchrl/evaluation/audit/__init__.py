@@ -43,7 +43,7 @@ UNEXPECTED = (
 
 @contextlib.contextmanager
 def _collector_paused() -> Iterator[None]:
-    """No search for cycles of garbage: an audit makes none, and searching its many objects takes a third of its time."""
+    """No search for garbage in cycles: an audit makes none, and the search takes a third of its time."""
     was = gc.isenabled()
     gc.disable()
     try:
