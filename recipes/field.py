@@ -4,6 +4,7 @@
     python recipes/field.py only=[geant,brain] method=[greedy] reference=greedy
     python recipes/field.py set=traffic                      # Abilene, GEANT and Germany50, arrivals by their traffic
     python recipes/field.py seeds=3 "+method.mine={_target_: my_package.Mine}"
+    python recipes/field.py checkpoints=[a.pt,b.pt] method=[myopic_optimal,checkpoint]    # of several training seeds
     python recipes/field.py freeze=docs/benchmark/chains.json    # the manifest that decisions are scored against
 
 Every method at every network and load is a cell of its own, audited, that is not computed again.
@@ -25,6 +26,7 @@ from nfv_torchrl.evaluation.score import check_place, freeze
 from nfv_torchrl.experiments.cells import CellStore
 from nfv_torchrl.experiments.computing import compute_shown
 from nfv_torchrl.experiments.field import field_figure, field_table, place_rows, places_of, published_rows, runs_of
+from nfv_torchrl.experiments.transfer import with_policies
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
 from nfv_torchrl.settings.recipes import FieldSettings, read_settings
@@ -36,6 +38,7 @@ from nfv_torchrl.training.setup import run_folder
 def main(cfg: DictConfig) -> None:
     read_settings(cfg, FieldSettings)
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
+    config["method"] = with_policies(config["method"], config["checkpoints"] or [config["checkpoint"]])
     store = CellStore(run_folder(config["output"], "output"), Path(__file__).parent)
     places = places_of(config, Path(__file__).parent)
     if config["freeze"]:

@@ -13,6 +13,7 @@ from nfv_torchrl.scenario.config import parse_config
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.scenario.together import PooledScenario, share_profiles
 from nfv_torchrl.scenario.workload import Workload
 
 FIRST_SCENARIO_SEED = 1_000_000
@@ -46,6 +47,37 @@ class FixedNetwork:
     def draw(self, seed: int, generation: int, count: int) -> list[Task]:
         """``count`` tasks, always the same for the same arguments."""
         return [Task.of(self.scenario, seed, generation, k) for k in range(count)]
+
+
+class Redrawn:
+    """The scenario drawn anew with other seeds: for scenarios whose requests follow from their seed (a file of laws).
+
+    Args:
+        scenario: the recipe's scenario config.
+        draws: what one training goes through, each horizon one of them.
+
+    Raises:
+        ScenarioError: no draw.
+    """
+
+    def __init__(self, scenario: Mapping[str, Any], *, draws: int = 32) -> None:
+        if draws < 1:
+            raise ScenarioError(f"networks.draws: {draws}; use at least 1")
+        self.base, self.draws = dict(scenario), draws
+
+    def draw(self, seed: int, generation: int, count: int) -> list[Task]:
+        """``count`` tasks, always the same for the same arguments."""
+        scenarios = share_profiles(self._drawn(seed, generation, count))
+        return [Task.of(scenario, seed, generation, k) for k, scenario in enumerate(scenarios)]
+
+    def scenarios(self, seed: int, count: int) -> list[Scenario]:
+        """The one scenario that all ``count`` environments of a batch train on: with the requests of all draws."""
+        return [PooledScenario.of(self._drawn(seed, 0, self.draws))]
+
+    def _drawn(self, seed: int, generation: int, count: int) -> list[Scenario]:
+        numbers = [generator(seed, Stream.NETWORKS, generation, k) for k in range(count)]
+        seeds = [int(rng.integers(FIRST_SCENARIO_SEED, 2**31)) for rng in numbers]
+        return [Scenario.from_config({**self.base, "seed": number}) for number in seeds]
 
 
 class RandomNetworks:

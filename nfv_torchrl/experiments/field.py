@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 from hydra import compose
 from hydra.errors import HydraException
 from matplotlib.figure import Figure
@@ -15,11 +16,12 @@ from omegaconf import OmegaConf
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import tidy_row
 from nfv_torchrl.evaluation.pivot import result_row
-from nfv_torchrl.evaluation.statistics import Interval, mean_interval, paired_difference
+from nfv_torchrl.evaluation.statistics import Interval, mean_interval
 from nfv_torchrl.evaluation.tables import UNDEFINED, Table
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.drawing import panel_figure
-from nfv_torchrl.experiments.rows import paired_cost, values
+from nfv_torchrl.experiments.rows import cost_ratios, together, values
+from nfv_torchrl.experiments.transfer import POLICY, is_policy
 from nfv_torchrl.training.cli import recipe_configs
 
 MEASURES = {"aar": ".4f", "lrc": ".3f", "lar": ",.0f", "cost_per_accepted": ",.1f", "decisions_per_second": ",.0f"}
@@ -90,24 +92,40 @@ def scenario_config(recipes: Path, name: str, overrides: Sequence[str]) -> dict[
 
 
 def place_rows(place: Place, store: CellStore, reference: str) -> Rows:
-    """One row for each number of a place: means over seeds with their intervals."""
+    """One row for each number of a place: means over seeds with their intervals.
+
+    The policies of several training seeds are one method: for each seed of the place their mean.
+    """
     results = {key: store.read(cell) for key, cell in place.methods.items()}
-    rho = round(next(iter(results.values()))["rho"], 4)
-    about = {"network": place.name, "load": place.load, "rho": rho, "source": ""}
+    about = {
+        "network": place.name,
+        "load": place.load,
+        "rho": round(next(iter(results.values()))["rho"], 4),
+        "source": "",
+    }
     rows = []
-    for key, result in results.items():
-        runs = list(result["metrics"].values())
+    for name, keys in _as_one(results).items():
+        runs = list(results[keys[0]]["metrics"].values())
         for metric in [metric for metric in MEASURES if metric in runs[0]]:
-            rows.append(result_row(about, key, metric, mean_interval(values(result, metric))))
-        if reference in results and key != reference:
-            difference = paired_difference(values(result, "aar"), values(results[reference], "aar"))
-            cost = paired_cost(store, place.methods[key], place.methods[reference])
-            rows.append(result_row(about, key, "aar_difference", difference, reference))
-            rows.append(result_row(about, key, "paired_cost", cost, reference))
+            rows.append(result_row(about, name, metric, together([values(results[key], metric) for key in keys])))
+        if reference in results and name != reference:
+            theirs = values(results[reference], "aar")
+            differences = [np.subtract(values(results[key], "aar"), theirs) for key in keys]
+            costs = [cost_ratios(store, place.methods[key], place.methods[reference]) for key in keys]
+            rows.append(result_row(about, name, "aar_difference", together(differences), reference))
+            rows.append(result_row(about, name, "paired_cost", together(costs), reference))
     if place.bound is not None and store.has(place.bound):
         for kind, by_seed in store.read(place.bound)["bounds"].items():
             rows.append(result_row(about, f"bound: {kind}", "aar", mean_interval(list(by_seed.values()))))
     return rows
+
+
+def _as_one(methods: Iterable[str]) -> dict[str, list[str]]:
+    """What has a row: every method, and the policies of several training seeds as one; their keys."""
+    named: dict[str, list[str]] = {}
+    for key in methods:
+        named.setdefault(POLICY if is_policy(key) else key, []).append(key)
+    return named
 
 
 def runs_of(place: Place, store: CellStore) -> list[tuple[str, dict[str, Any]]]:

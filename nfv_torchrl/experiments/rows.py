@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from nfv_torchrl.evaluation.comparison import MYOPIC
 from nfv_torchrl.evaluation.figures import tidy_row
 from nfv_torchrl.evaluation.statistics import Interval, cost_ratio, gap_closed, mean_interval, relative_difference
@@ -82,8 +84,18 @@ def paired_rows(
 
 def paired_cost(store: CellStore, cell: Cell, reference: Cell) -> Interval:
     """Mean over seeds of cost / cost of the reference, over the requests that both accept."""
+    return mean_interval(cost_ratios(store, cell, reference))
+
+
+def cost_ratios(store: CellStore, cell: Cell, reference: Cell) -> list[float]:
+    """For each seed, cost / cost of the reference over the requests that both accept."""
     mine, other = read_costs(cell, store), read_costs(reference, store)
-    return mean_interval([cost_ratio(costs, other[seed]) for seed, costs in mine.items()])
+    return [cost_ratio(costs, other[seed]) for seed, costs in mine.items()]
+
+
+def together(samples: Sequence[Sequence[float] | np.ndarray]) -> Interval:
+    """Over the seeds of a network, of the mean over training seeds; [training seeds, seeds of the network]."""
+    return mean_interval(np.mean(np.array(samples, dtype=float), axis=0))
 
 
 def gap_rows(

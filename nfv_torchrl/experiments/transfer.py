@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
-from nfv_torchrl.evaluation.statistics import Interval, cost_ratio, mean_interval
+from nfv_torchrl.evaluation.statistics import Interval, mean_interval
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore
-from nfv_torchrl.experiments.rows import values
-from nfv_torchrl.experiments.work import read_costs
+from nfv_torchrl.experiments.rows import cost_ratios, together, values
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.vocabulary import TABLE
 
@@ -71,11 +70,11 @@ def network_rows(
 def _own_rows(about: Mapping[str, Any], policies: Sequence[Cell], services: Sequence[str], store: CellStore) -> Rows:
     """What the policy does by itself, in all and for each service."""
     results = [store.read(cell) for cell in policies]
-    rows = [result_row(about, POLICY, "aar", _together([values(result, "aar") for result in results]))]
+    rows = [result_row(about, POLICY, "aar", together([values(result, "aar") for result in results]))]
     for service in services:
         for metric in OF_SERVICES:
             samples = [values(result, TABLE[metric].key(service)) for result in results]
-            rows.append(result_row(about, POLICY, metric, _together(samples), part=service))
+            rows.append(result_row(about, POLICY, metric, together(samples), part=service))
     return rows
 
 
@@ -83,10 +82,10 @@ def _paired_rows(about: Mapping[str, Any], policies: Sequence[Cell], key: str, o
     """The policy against another method, on the same requests."""
     theirs = values(store.read(other), "aar")
     differences = [np.subtract(values(store.read(cell), "aar"), theirs) for cell in policies]
-    costs = [_cost_ratios(store, cell, other) for cell in policies]
+    costs = [cost_ratios(store, cell, other) for cell in policies]
     rows = [
-        result_row(about, POLICY, "aar_difference", _together(differences), key),
-        result_row(about, POLICY, "paired_cost", _together(costs), key),
+        result_row(about, POLICY, "aar_difference", together(differences), key),
+        result_row(about, POLICY, "paired_cost", together(costs), key),
     ]
     if len(policies) > 1:
         lowest = Interval(min(float(np.mean(each)) for each in differences), math.nan, math.nan, len(policies))
@@ -119,14 +118,3 @@ def transfer_tables(rows: Rows, methods: Sequence[str], about: str) -> list[Tabl
         pivot(f"One policy on every network: {about}", rows, by, columns),
         pivot("The policy by service: AAR, and the share that it refused itself", rows, {"network": ""}, of_services),
     ]
-
-
-def _together(samples: Sequence[Sequence[float] | np.ndarray]) -> Interval:
-    """Over the seeds of the network, of the mean over training seeds; [training seeds, seeds of the network]."""
-    return mean_interval(np.mean(np.array(samples, dtype=float), axis=0))
-
-
-def _cost_ratios(store: CellStore, cell: Cell, reference: Cell) -> list[float]:
-    """For each seed, cost / cost of the reference over the requests that both accept."""
-    mine, other = read_costs(cell, store), read_costs(reference, store)
-    return [cost_ratio(costs, other[seed]) for seed, costs in mine.items()]

@@ -16,6 +16,7 @@ from nfv_torchrl.methods.compiled import acting_method
 from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import MASKS, Scenario
+from nfv_torchrl.scenario.together import fit_one_batch
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.tensor_checks import check_keys, check_like, check_tensor
 from nfv_torchrl.tensor_files import load_file, save_file
@@ -123,7 +124,7 @@ def load_policy(
     content = _read(path)
     kind = content["kind"]
     make = {part: factory(path, part, content[part], trusted_packages) for part in KINDS[kind]}
-    scenarios = [scenario] if isinstance(scenario, Scenario) else list(scenario)
+    scenarios = fit_one_batch([scenario] if isinstance(scenario, Scenario) else scenario)
     simulator = Simulator(scenarios, len(scenarios), one_hot=content["one_hot"])
     with building(path, content["weights"]):
         planner = make["planner"]() if kind == "planner" else None

@@ -71,6 +71,11 @@ class Profiles:
     def __len__(self) -> int:
         return len(self.service)
 
+    def same_as(self, other: Profiles) -> bool:
+        """Whether all numbers are the same."""
+        pairs = [(getattr(self, field.name), getattr(other, field.name)) for field in fields(Profiles)]
+        return self is other or all(np.array_equal(mine, theirs) for mine, theirs in pairs)
+
     @property
     def kinds(self) -> int:
         """R."""

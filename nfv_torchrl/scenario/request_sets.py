@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from nfv_torchrl.scenario.profiles import MOST_FUNCTIONS
 from nfv_torchrl.scenario.quoting import shown
 from nfv_torchrl.scenario.request_file import Columns, slots_of
 from nfv_torchrl.scenario.services import FREE, ServiceCatalogue
+from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.units import LEDGER_UNITS, MAX_CAPACITY
 
 LAWS = (".yaml", ".yml")
@@ -41,16 +42,14 @@ def holds_laws(path: str | os.PathLike[str]) -> bool:
     return suffix in LAWS or (suffix == ".json" and isinstance(load_json(path), Mapping))
 
 
-def read_request_set(
-    path: Path, catalogue: ServiceCatalogue, horizon: int | None, generator: Callable[[], np.random.Generator]
-) -> Columns:
+def read_request_set(path: Path, catalogue: ServiceCatalogue, horizon: int | None, seed: int) -> Columns:
     """The requests of Virne's folders or settings, or of CN-UPB/NFVdeep's JSON, a profile each, both ends free.
 
     Args:
         path: folder or file.
         catalogue: its only service is that of all requests, its kinds of resources are those they are read for.
         horizon: arrivals are below it; None: there is no limit.
-        generator: gives what requests are drawn with, where a file holds the laws of requests instead of requests.
+        seed: scenario seed, which requests are drawn with where a file holds their laws.
 
     Raises:
         ScenarioError: it cannot be used; the message names the request.
@@ -59,9 +58,9 @@ def read_request_set(
         raise ScenarioError(f"{path}: {NONE_OF_OURS} (there are {len(catalogue.types)} services)")
     kinds = [kind.name for kind in catalogue.resources]
     if path.suffix.lower() in LAWS:
-        found = RequestSet(str(path), draw_asked(read_laws(path), generator(), str(path)))
+        found = RequestSet(str(path), draw_asked(read_laws(path), generator(seed, Stream.REQUESTS), str(path)))
     else:
-        found = read_virne(path, kinds) if path.is_dir() else read_nfvdeep(path, generator)
+        found = read_virne(path, kinds) if path.is_dir() else read_nfvdeep(path, seed)
     return _columns(found, catalogue, horizon)
 
 

@@ -226,7 +226,7 @@ class Workload:
         """
         if not is_request_set(Path(path)):
             return cls.from_csv(path, catalogue, substrate, horizon)
-        return cls(*read_request_set(Path(path), catalogue, horizon, lambda: generator(seed, Stream.REQUESTS)))
+        return cls(*read_request_set(Path(path), catalogue, horizon, seed))
 
 
 def _draw_profiles(catalogue: ServiceCatalogue, service: np.ndarray, rng: np.random.Generator) -> np.ndarray:

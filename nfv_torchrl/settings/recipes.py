@@ -393,6 +393,8 @@ class FieldSettings:
     draws: bool
     places: dict[str, NetworkAtLoads]
     published: tuple[dict[str, Any], ...]
+    checkpoint: str | None
+    checkpoints: tuple[str, ...] | None
     seeds: Count
     bounds: bool
     reference: str

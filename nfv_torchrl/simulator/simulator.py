@@ -115,9 +115,7 @@ class Simulator:
             for name in ("horizon", "warmup", "catalogue"):
                 if getattr(other, name) != getattr(first, name):
                     raise ScenarioError(f"scenarios of one batch must share {name}; {other.name} differs")
-            if len(other.profiles) != len(first.profiles) or (
-                len(first.profiles) > len(first.catalogue.types) and other.workload_path != first.workload_path
-            ):
+            if not other.profiles.same_as(first.profiles):
                 raise ScenarioError(f"scenarios of one batch must share the requests' profiles; {other.name} differs")
             if scenario_rules(other)._replace(open_pairs=first.open_pairs) != scenario_rules(first):
                 raise ScenarioError(f"scenarios of one batch must share the rules of a step; {other.name} differs")

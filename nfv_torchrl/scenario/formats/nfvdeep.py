@@ -7,7 +7,8 @@ and memory count in those of the network, bandwidths are read as Mbit/s, delays 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import random
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,22 +30,22 @@ INTERVALS = (
 MOST_REQUESTS = 10**6
 
 
-def read_nfvdeep(path: Path, generator: Callable[[], np.random.Generator]) -> RequestSet:
-    """The requests of a list, or requests drawn as an object says.
+def read_nfvdeep(path: Path, seed: int) -> RequestSet:
+    """The requests of a list, or those that CN-UPB/NFVdeep draws with ``seed`` as an object says (``static: true``).
 
     A request is there in the slots from its arrival to ``arrival_time + ttl``, both included, so that its lifetime is
     ``ttl + 1``.
 
     Args:
         path: the file.
-        generator: gives what requests are drawn with, where the file holds intervals.
+        seed: what requests are drawn with, where the file holds intervals.
 
     Raises:
         ScenarioError: it cannot be read, or holds something else; the message names the request.
     """
     data = load_json(path)
     if isinstance(data, Mapping):
-        return RequestSet(str(path), _draw(_Laws(data, str(path)), generator(), str(path)))
+        return RequestSet(str(path), _draw(_Laws(data, str(path)), random.Random(seed), str(path)))
     if not isinstance(data, list) or not data:
         raise ScenarioError(f"{path}: holds {shown(data)}; a list of requests or the object of {LAWS!r} was expected")
     unused: set[str] = set()
@@ -123,48 +124,33 @@ class _Laws:
             raise ScenarioError(f"{self.source}: {name} is {shown(value)}; an integer from 1 to 10,000 was expected")
         return value
 
-    def integers(self, name: str, rng: np.random.Generator, size: int) -> np.ndarray:
-        """Uniform in low .. high, both included, int64 [size]."""
+    def integer(self, name: str, rng: random.Random) -> int:
+        """Uniform in low .. high, both included."""
         low, high = self.intervals[name]
-        return rng.integers(int(low), int(high), size=size, endpoint=True)
+        return rng.randint(int(low), int(high))
 
-    def numbers(self, name: str, rng: np.random.Generator, size: int) -> np.ndarray:
-        """Uniform between low and high, float64 [size]."""
-        return rng.uniform(*self.intervals[name], size=size)
-
-
-def _draw(laws: _Laws, rng: np.random.Generator, source: str) -> list[Asked]:
-    """Requests as CN-UPB/NFVdeep draws them: arrivals are rounded up to whole slots, lifetimes down."""
-    count = int(laws.integers("num_requests", rng, 1)[0])
-    slots, stay = (int(laws.integers(name, rng, 1)[0]) for name in ("num_timeslots", "service_rate"))
-    times = np.ceil(np.cumsum(rng.exponential(slots / count, size=count)))
-    lifetimes = np.floor(rng.exponential(stay, size=count)) + 1.0
-    kinds = {
-        "cpu": laws.integers("cpus", rng, laws.num_vnfs).astype(float),
-        "memory": laws.numbers("memory", rng, laws.num_vnfs),
-    }
-    delays = laws.numbers("vnf_delays", rng, laws.num_vnfs)
-    lengths = laws.integers("sfc_length", rng, count)
-    latencies = laws.numbers("max_response_latency", rng, count)
-    rates = laws.numbers("bandwidth", rng, count).tolist()
-    return [
-        _drawn(
-            f"{source}: request {row}", (times[row], lifetimes[row], latencies[row]), rates[row], chosen, kinds, delays
-        )
-        for row, chosen in enumerate(rng.integers(laws.num_vnfs, size=int(length)) for length in lengths)
-    ]
+    def number(self, name: str, rng: random.Random) -> float:
+        """Uniform between low and high."""
+        return rng.uniform(*self.intervals[name])
 
 
-def _drawn(
-    name: str,
-    when: tuple[float, float, float],
-    rate: float,
-    chosen: np.ndarray,
-    kinds: Mapping[str, np.ndarray],
-    delays: Sequence[float] | np.ndarray,
-) -> Asked:
-    """A request of the VNFs ``chosen``; ``when``: arrival (s), lifetime (s), tolerable delay (ms)."""
-    time, lifetime, tolerable = (float(value) for value in when)
-    amounts = {kind: tuple(amount[chosen].tolist()) for kind, amount in kinds.items()}
-    rates = (0.0, *[rate] * (len(chosen) - 1), 0.0)
-    return Asked(name, time, lifetime, amounts, rates, tolerable, tuple(np.asarray(delays)[chosen].tolist()))
+def _draw(laws: _Laws, rng: random.Random, source: str) -> list[Asked]:
+    """The requests that CN-UPB/NFVdeep draws: the same numbers from the same generator, in its order.
+
+    Arrivals are rounded up to whole slots, lifetimes down.
+    """
+    count = laws.integer("num_requests", rng)
+    slots, stay = laws.integer("num_timeslots", rng), laws.integer("service_rate", rng)
+    times = np.ceil(np.cumsum([rng.expovariate(count / slots) for _ in range(count)])).tolist()
+    lifetimes = [math.floor(rng.expovariate(1 / stay)) + 1.0 for _ in range(count)]
+    vnfs = [(float(laws.integer("cpus", rng)), laws.number("memory", rng)) for _ in range(laws.num_vnfs)]
+    delays = [laws.number("vnf_delays", rng) for _ in range(laws.num_vnfs)]
+    requests = []
+    for row in range(count):
+        chosen = [rng.randint(0, laws.num_vnfs - 1) for _ in range(laws.integer("sfc_length", rng))]
+        tolerable, rate = laws.number("max_response_latency", rng), laws.number("bandwidth", rng)
+        amounts = {kind: tuple(vnfs[vnf][place] for vnf in chosen) for place, kind in enumerate(KINDS)}
+        rates = (0.0, *[rate] * (len(chosen) - 1), 0.0)
+        own = tuple(delays[vnf] for vnf in chosen)
+        requests.append(Asked(f"{source}: request {row}", times[row], lifetimes[row], amounts, rates, tolerable, own))
+    return requests
