@@ -11,7 +11,7 @@ import pytest
 from inprocess import call, recipe
 from tiny import TINY_SCENARIO
 
-from nfv_torchrl.experiments import transfer
+from nfv_torchrl.experiments import rows
 from nfv_torchrl.losses import DQN
 from nfv_torchrl.methods import policy_content, save_policy
 from nfv_torchrl.networks import CandidateNetwork, Sizes
@@ -66,7 +66,7 @@ def test_the_table_pairs_workload_seeds(tmp_path, policy, monkeypatch, capsys):
         return {"0": np.array(COSTS[cell.label.removeprefix("paper-")])}
 
     monkeypatch.setattr(recipe("transfer"), "compute_shown", pretending(AAR))
-    monkeypatch.setattr(transfer, "read_costs", costs)
+    monkeypatch.setattr(rows, "read_costs", costs)
     call(
         "transfer",
         f"checkpoint={policy}",
@@ -92,7 +92,7 @@ def test_policies_of_several_training_seeds_are_one_method(tmp_path, policy, mon
     cost = {"greedy": 4.0, "checkpoint_0": 6.0, "checkpoint_1": 4.0}
     monkeypatch.setattr(recipe("transfer"), "compute_shown", pretending(aar))
     read = lambda cell, store: {str(s): np.array([cost[cell.label.removeprefix("paper-")]]) for s in (0, 1)}  # noqa: E731
-    monkeypatch.setattr(transfer, "read_costs", read)
+    monkeypatch.setattr(rows, "read_costs", read)
     second = tmp_path / "second.pt"
     second.write_bytes(policy.read_bytes())
     call(
