@@ -58,9 +58,10 @@ def main(cfg: DictConfig) -> None:
     rows = quality_rows(curves, config["shares"])
     about = (
         f"rho = {scenario.offered_load():.2f}, scenario {scenario.name}, N = {scenario.substrate.num_nodes}, "
-        f"{config['seeds']} training seeds, {len(config['workloads'])} workloads"
+        f"{len(config['workloads'])} workload{'s' if len(config['workloads']) > 1 else ''}"
     )
-    table = quality_table(f"Processor time to a share of the AAR of myopic_optimal: {about}", rows, config["shares"])
+    title = f"Processor time to a share of the AAR of myopic_optimal, medians over training seeds: {about}"
+    table = quality_table(title, rows, config["shares"])
     lacks = timed.lacking()
     note = f"\n\nNot there yet: {'; '.join(lacks)}." if lacks else ""
     write_atomically(store.folder / "time_to_quality.csv", csv_text(rows))

@@ -116,8 +116,11 @@ def _row(name: str, seed: int, curve: Sequence[Point], shares: Sequence[float]) 
 
 
 def quality_table(title: str, rows: Rows, shares: Sequence[float]) -> Table:
-    """One line for each method: the medians over training seeds of when each share was reached, then means."""
-    columns = ("method", *(f"{share:g}" for share in shares), "untrained", "best", "at the end", "frames", "s")
+    """One line for each method: the medians over training seeds of when each share was reached, then means.
+
+    The last columns are the decisions and processor seconds of a whole training, and the training seeds that are there.
+    """
+    columns = ("method", *(f"{share:g}" for share in shares), "untrained", "best", "at the end", "frames", "s", "seeds")
     lines = []
     for name in dict.fromkeys(row["method"] for row in rows):
         mine = [row for row in rows if row["method"] == name]
@@ -125,7 +128,7 @@ def quality_table(title: str, rows: Rows, shares: Sequence[float]) -> Table:
                  for key in ("aar_share_untrained", "aar_share_best", "aar_share")]  # fmt: skip
         spent = [f"{fmean(row['frames'] for row in mine) / 1000:,.0f}k",
                  f"{fmean(row['processor_seconds'] for row in mine):,.0f}"]  # fmt: skip
-        lines.append((name, *(reached(mine, share) for share in shares), *whole, *spent))
+        lines.append((name, *(reached(mine, share) for share in shares), *whole, *spent, str(len(mine))))
     return Table(title, columns, tuple(lines))
 
 

@@ -47,7 +47,7 @@ def test_medians_take_what_was_not_reached_for_later_than_all():
     assert reached(exact, 0.98) == "0 s, untrained"
     (line,) = quality_table("", rows, SHARES).rows
     # Means: untrained of 0.8, 0.7, 0.6; the best of 0.99, 0.95, 0.65; at the end 0.99, 0.94, 0.65.
-    assert line == ("mine", "8 s, 2k (2/3)", "not reached (1/3)", "0.7000", "0.8633", "0.8600", "2k", "6")
+    assert line == ("mine", "8 s, 2k (2/3)", "not reached (1/3)", "0.7000", "0.8633", "0.8600", "2k", "6", "3")
 
 
 def test_the_compiled_policy_of_maskable_ppo_chooses_as_it_does():
