@@ -44,7 +44,7 @@ SHOWN = ("aar", "lrc", "lar", "cost_per_accepted", "mean_hops")
 """What a row has, where the requests have it."""
 LARGEST_FILE, MOST_SHOWN = 2 << 30, 5
 """Bytes of a decisions file; refused decisions that are told one by one."""
-GENERATORS = ("nfv_torchrl.scenario.waxman.draw_waxman",)
+GENERATORS = ("nfv_torchrl.scenario.waxman.draw_waxman", "nfv_torchrl.scenario.nfvdeep_network.draw_nfvdeep")
 """What a manifest, which may be a stranger's, may have drawn its network by. Any other name could run any code."""
 KEYS = {"scenario": dict, "seed": int, "substrate_sha256": str, "workload_sha256": str, "rows": dict}
 """What a manifest says of every run."""

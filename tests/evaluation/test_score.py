@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -10,7 +11,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
-from nfv_torchrl.evaluation.score import check_place, freeze, main, read_manifest, score
+from nfv_torchrl.evaluation.score import build, check_place, freeze, main, read_manifest, score
 from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.planners import GreedyPlanner
 from nfv_torchrl.scenario.scenario import Scenario
@@ -35,6 +36,19 @@ def frozen(tmp_path_factory):
     write_run(folder / "run", record, metrics)
     freeze(folder / "m.json", "Small", {"small": {"scenario": CONFIG, "seed": 7, "rows": {"greedy": metrics}}})
     return folder / "m.json", folder / "run" / "decisions.jsonl", record
+
+
+@pytest.mark.parametrize("name", ["chains", "traffic", "cnupb"])
+def test_the_frozen_benchmarks_are_still_what_they_were(name, monkeypatch):
+    """The first run of every place: the same network and the same requests, to the bit."""
+    pytest.importorskip("topohub", reason="networks of the benchmarks are TopoHub's")
+    monkeypatch.chdir(Path(__file__).parents[2])  # their files are named from there
+    runs = read_manifest(Path(f"docs/benchmark/{name}.json"))
+    places = {run.partition("-")[0]: run for run in reversed(runs)}
+    for run in places.values():
+        scenario, seed = build(runs[run], run)
+        assert len(scenario.workload(seed)) == runs[run]["requests"]
+        assert {"greedy", "myopic_optimal"} <= runs[run]["rows"].keys()
 
 
 def lines_of(decisions):
