@@ -68,7 +68,9 @@ def main(cfg: DictConfig) -> None:
     write_atomically(store.folder / "time_to_quality.md", f"{table.markdown()}{note}\n")
     print(f"\n{table.text()}{note}")
     if curves:
-        caption = "Mean over training seeds and its 95 % interval. Compiling and evaluations are left out."
+        caption = (
+            "Means over training seeds, bars from the lowest to the highest. Compiling and evaluations are left out."
+        )
         figure, drawn = quality_figure(curves, "Time to quality", caption, about)
         save_figure(figure, drawn, store.folder / "curves")
     print(f"\nTable, picture and runs: {store.folder}")

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from nfv_torchrl.evaluation.figures import tidy_row
-from nfv_torchrl.evaluation.statistics import mean_interval
+from nfv_torchrl.evaluation.statistics import Interval
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import panel_figure
@@ -153,7 +153,10 @@ def reached(rows: Rows, share: float) -> str:
 def quality_figure(
     curves: Mapping[str, Mapping[int, Sequence[Point]]], title: str, caption: str, panel: str
 ) -> tuple[Figure, Rows]:
-    """The share over processor seconds, means over training seeds evaluation by evaluation; and the rows of it."""
+    """The share over processor seconds, evaluation by evaluation; and the rows of it.
+
+    Means over training seeds, with the lowest and the highest: an interval of two or three would say nothing.
+    """
     rows: Rows = []
     for name, by_seed in curves.items():
         at: dict[int, list[Point]] = {}
@@ -161,8 +164,7 @@ def quality_figure(
             at.setdefault(point.frames, []).append(point)
         for frames, points in sorted(at.items()):
             seconds = max(fmean(point.seconds for point in points), LEFT)
-            share = mean_interval([point.share for point in points])
-            rows.append(tidy_row(name, seconds, share, frames=frames, panel=panel))
+            rows.append(tidy_row(name, seconds, _span([point.share for point in points]), frames=frames, panel=panel))
     longest = max((row["x"] for row in rows), default=1.0)
     ticks = {LEFT: "0"} | {float(place): f"{place:g}" for place in TICKS if place <= longest}
     figure = panel_figure(
@@ -175,3 +177,9 @@ def quality_figure(
         log="x",
     )
     return figure, rows
+
+
+def _span(shares: Sequence[float]) -> Interval:
+    """The mean, and from the lowest to the highest of several."""
+    ends = (min(shares), max(shares)) if len(shares) > 1 else (math.nan, math.nan)
+    return Interval(fmean(shares), *ends, len(shares))
