@@ -82,14 +82,19 @@ class CompiledCandidates(CompiledRows):
 
 
 class CompiledLookahead(CompiledRows):
-    """``CompiledRows`` of a ``LookaheadNetwork``, the same way; the values that it watches are less V.
+    """``CompiledRows`` of a ``LookaheadNetwork``, whole horizons in a call; the values that it watches are less V.
 
     Raises:
         ScenarioError: a network that ``LookaheadPlay`` does not take.
     """
 
     def __init__(self, network: LookaheadNetwork, **options: Any) -> None:
-        super().__init__(LookaheadPlay(network), **options)
+        self._whole = LookaheadPlay(network)
+        super().__init__(self._whole, **options)
+
+    def play(self, simulator: Simulator, b: int) -> None:
+        """See ``WholePlay``."""
+        self.watch.add(self._whole.play(simulator, b))
 
 
 @part

@@ -9,14 +9,18 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.methods.candidate_play import is_highest
+from nfv_torchrl.methods.watching import EVERY, MOST
 from nfv_torchrl.networks.compiled import CompiledPerceptron, compiled_perceptron, outputs_of
 from nfv_torchrl.networks.lookahead import DEAD, TIE, LookaheadNetwork
-from nfv_torchrl.observations.ahead import Looking
+from nfv_torchrl.observations.ahead import Looking, look_from
 from nfv_torchrl.observations.candidates import candidate_shape
 from nfv_torchrl.observations.lookahead import FEATURES, ROW, fill_rows
 from nfv_torchrl.observations.standing import FACTORS, STATE, state_scales
+from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room
+from nfv_torchrl.search.walks import OVERFLOW
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
+from nfv_torchrl.simulator.kernels import step_env
 from nfv_torchrl.simulator.state import World
 
 
@@ -77,6 +81,25 @@ def choose_lookahead(world, ahead, scales, own, actions, values):
         actions[b] = _choose(world, b, ahead, scales, own, values[b])
 
 
+@kernel
+def play_lookahead(world, b, ahead, scales, own, begun, values):
+    """Play environment b to the end of its horizon, or until something runs low (provide it and call again).
+
+    ``begun``: steps made before. ``values`` float32 [MOST, 2]: those of every EVERY-th step, the last ones.
+    Returns FINISHED, NO_ROOM (in the simulator's pools) or OVERFLOW (of the search's scratch), and the steps made.
+    """
+    steps = begun
+    while world.env[b].done == 0:
+        if world.env[b].steps == 0 and not has_room(world, b):
+            return NO_ROOM, steps
+        if look_from(world, b, ahead) == OVERFLOW:
+            return OVERFLOW, steps
+        action = _choose(world, b, ahead, scales, own, values[steps // EVERY % values.shape[0]])
+        step_env(world, b, action)
+        steps += 1
+    return FINISHED, steps
+
+
 class LookaheadPlay:
     """A ``LookaheadNetwork`` as a compiled player, with the weights that it has now.
 
@@ -97,6 +120,19 @@ class LookaheadPlay:
         rows = np.zeros((candidate_shape(world.tables, world.rules)[0], len(FEATURES)), np.float32)
         state = np.zeros(len(STATE), np.float32)
         self._own = Deciding(self._prices, network.w_acc, network.w_cost, rows, state)
+
+    def play(self, simulator: Simulator, b: int) -> np.ndarray:
+        """Answer all requests of environment b. Returns some of the values that decided, as ``choose`` has them."""
+        world, looking = simulator.world, self._looking
+        looking.prepare(world)
+        values, state, steps = np.full((MOST, 2), np.nan, np.float32), NO_ROOM, 0
+        while state != FINISHED:
+            state, steps = play_lookahead(simulator.world, b, looking.ahead, self._scales, self._own, steps, values)
+            if state == NO_ROOM:
+                simulator.make_room_for(b)
+            elif state == OVERFLOW:
+                looking.grow(simulator.world)
+        return values[: -(-steps // EVERY)]
 
     def choose(self, simulator: Simulator) -> tuple[np.ndarray, np.ndarray]:
         """The valid action of the highest value of each environment, int64 [B], and two values float32 [B, 2], less V:

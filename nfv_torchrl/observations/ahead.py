@@ -42,6 +42,7 @@ CHEAP, SPARE = 0, 1
 """The two ways to finish: at unit costs, and at raised prices, which spares what is nearly used up."""
 NOWHERE = -1
 LOOKED = 0
+"""What ``look_from`` returns, else OVERFLOW."""
 
 
 class Kept(NamedTuple):
@@ -160,16 +161,28 @@ class Looking:
         Raises:
             ScenarioError: see ``check_ahead``.
         """
-        # Loading a state makes new records of the environments: what was known of those before is not true of them.
-        if self._tables is not world.tables or self._env is not world.env:
-            self.ahead = make_ahead(world, exact=self.exact, price=self.price, steepness=self.steepness)
-            self._tables, self._env = world.tables, world.env
+        self.prepare(world)
         done = 0
         while True:
             done = look_ahead(world, done, self.ahead)
             if done == len(world.env):
                 return self.ahead
-            self.ahead = self.ahead._replace(search=grow_scratch(world.tables, self.ahead.search))
+            self.grow(world)
+
+    def prepare(self, world: World) -> None:
+        """Make ``ahead`` for these environments, unless it is theirs already.
+
+        Raises:
+            ScenarioError: see ``check_ahead``.
+        """
+        # Loading a state makes new records of the environments: what was known of those before is not true of them.
+        if self._tables is not world.tables or self._env is not world.env:
+            self.ahead = make_ahead(world, exact=self.exact, price=self.price, steepness=self.steepness)
+            self._tables, self._env = world.tables, world.env
+
+    def grow(self, world: World) -> None:
+        """Give the searches more memory."""
+        self.ahead = self.ahead._replace(search=grow_scratch(world.tables, self.ahead.search))
 
 
 @kernel
@@ -180,15 +193,22 @@ def look_ahead(world, first, own):
         The environment at which the scratch became too small, or B.
     """
     for b in range(first, world.env.shape[0]):
-        if world.env[b].done == 0 and _look(world, b, own) == OVERFLOW:
-            own.kept.steps[b] = NOWHERE
+        if world.env[b].done == 0 and look_from(world, b, own) == OVERFLOW:
             return b
     return world.env.shape[0]
 
 
 @part
+def look_from(world, b, own):
+    """The same for one environment, not past its horizon; LOOKED, or OVERFLOW where the scratch is too small."""
+    found = _look(world, b, own)
+    if found == OVERFLOW:
+        own.kept.steps[b] = NOWHERE
+    return found
+
+
+@part
 def _look(world, b, own):
-    """The same for one environment; LOOKED or OVERFLOW."""
     kept, search = own.kept, False
     if not _is_known(world, b, kept):
         _begin(world, b, own)

@@ -16,7 +16,7 @@ from nfv_torchrl.env import NFVEnv
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import greedy_actor
-from nfv_torchrl.methods import PlannerMethod, PolicyMethod, acting_method
+from nfv_torchrl.methods import PlannerMethod, PolicyMethod, WholePlay, acting_method
 from nfv_torchrl.networks import LookaheadNetwork, Sizes
 from nfv_torchrl.observations import LookaheadObservation
 from nfv_torchrl.observations.candidates import FEATURES as CANDIDATE
@@ -131,6 +131,14 @@ def test_the_egress_is_packed():
     assert packed > 5
 
 
+class StepByStep:
+    """A method without what it does in one call."""
+
+    def __init__(self, method):
+        self.name, self.mask, self.one_hot = method.name, method.mask, method.one_hot
+        self.decides_admission, self.prepare, self.act = method.decides_admission, method.prepare, method.act
+
+
 def busy_scenario(**changes):
     return paper_scenario(mask="feasible", admission_control=True, **(BUSY | changes))
 
@@ -163,11 +171,13 @@ def test_the_compiled_network_decides_as_torch_does(exact):
         network.prices[-1].bias[1] += 0.6  # most videos are refused
     compiled = acting_method(actor, network, one_hot=False)
     assert type(compiled).__name__ == "CompiledLookahead"
-    one, other = (
-        run_method(scenario, method, [0])[0] for method in (compiled, PolicyMethod(actor, network.observations()))
-    )
-    assert (one.accepted == other.accepted).all() and (one.step_node == other.step_node).all()
-    assert 0 < one.accepted.mean() < 1
+    assert isinstance(compiled, WholePlay)
+    ways = (compiled, StepByStep(compiled), PolicyMethod(actor, network.observations()))
+    whole, *others = (run_method(scenario, method, [0, 1]) for method in ways)
+    for records in others:
+        for one, other in zip(whole, records, strict=True):
+            assert (one.accepted == other.accepted).all() and (one.step_node == other.step_node).all()
+            assert 0 < one.accepted.mean() < 1
 
 
 def test_values_by_hand():

@@ -56,6 +56,8 @@ CHOICES = {
         "networks.nodes=[5,7]",
         "networks.arrival_rate=[4]",
         "eval.networks.nodes=[5,7]",
+        "eval.networks.arrival_rate=[4]",
+        "eval.networks.horizon=[40]",
         "eval.count=2",
         "segment=5",
         *TINY_TRAINING,
