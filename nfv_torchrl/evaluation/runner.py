@@ -10,7 +10,7 @@ import numpy as np
 from nfv_torchrl.codec import decode_action
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.records import FORWARD, NO_ACTION, REJECT, RunRecord
-from nfv_torchrl.methods import Method, WholePlay
+from nfv_torchrl.methods import Method, WholePlay, WholeWalks
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
@@ -19,7 +19,7 @@ from nfv_torchrl.simulator.reasons import NO_REASON
 
 MOST_TOGETHER = 64
 """Runs made at the same time; the log of one takes some 10 MB for 100,000 requests."""
-STEPS_PER_REPORT = 256
+ROUNDS_PER_REPORT = 256
 
 Progress = Callable[[int], object]
 """Told how many more requests have been answered (``ProgressBar.update``)."""
@@ -61,8 +61,9 @@ def run_method(
             shall not count.
 
     Returns:
-        S records in the order of ``seeds``. Their ``seconds`` are those within ``method.act`` alone (of a
-        ``WholePlay``: of its plays, with the simulator's steps): of the whole batch, shared out by number of requests.
+        S records in the order of ``seeds``. Their ``seconds`` are those within ``method.act`` or ``method.plan`` alone
+        (of a ``WholePlay``: of its plays, with the simulator's steps): of the whole batch, shared out by number of
+        requests.
 
     Raises:
         ScenarioError: no seeds, a number of scenarios or workloads other than S, scenarios that do not go together.
@@ -113,22 +114,38 @@ def _play(simulator: Simulator, method: Method, progress: Progress | None, clock
     """Step all environments to the end of their horizons. Returns the seconds spent deciding."""
     if isinstance(method, WholePlay):
         return _play_whole(simulator, method, progress, clock)
+    decide = _plan_and_answer if isinstance(method, WholeWalks) else _act_and_step
     env = simulator.world.env
-    seconds, steps, answered = 0.0, 0, 0
+    seconds, rounds, answered = 0.0, 0, 0
     while not env["done"].all():
-        begun = clock()
-        actions = method.act(simulator)
-        seconds += clock() - begun
-        if actions.shape != (simulator.batch_size,):
-            raise ScenarioError(f"{method.name}: act returned shape {actions.shape}, not ({simulator.batch_size},)")
-        simulator.step(np.ascontiguousarray(actions, np.int64))
-        steps += 1
-        if progress is not None and steps % STEPS_PER_REPORT == 0:
+        seconds += decide(simulator, method, clock)
+        rounds += 1
+        if progress is not None and rounds % ROUNDS_PER_REPORT == 0:
             total = int(env["cursor"].sum())
             progress(total - answered)
             answered = total
     if progress is not None:
         progress(int(env["cursor"].sum()) - answered)
+    return seconds
+
+
+def _act_and_step(simulator: Simulator, method: Method, clock: Callable[[], float]) -> float:
+    """One step of every environment; the seconds spent deciding."""
+    begun = clock()
+    actions = method.act(simulator)
+    seconds = clock() - begun
+    if actions.shape != (simulator.batch_size,):
+        raise ScenarioError(f"{method.name}: act returned shape {actions.shape}, not ({simulator.batch_size},)")
+    simulator.step(np.ascontiguousarray(actions, np.int64))
+    return seconds
+
+
+def _plan_and_answer(simulator: Simulator, method: WholeWalks, clock: Callable[[], float]) -> float:
+    """One request of every environment; the seconds spent deciding."""
+    begun = clock()
+    plans, lengths = method.plan(simulator)
+    seconds = clock() - begun
+    simulator.answer(plans, lengths)
     return seconds
 
 

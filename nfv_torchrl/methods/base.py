@@ -46,3 +46,12 @@ class WholePlay(Protocol):
 
     def play(self, simulator: Simulator, b: int) -> None:
         """Answer all requests of environment b, whose horizon has begun; ``prepare`` was called before."""
+
+
+@runtime_checkable
+class WholeWalks(Protocol):
+    """A method that can also answer a request with all its steps at once, which a runner prefers to step by step."""
+
+    def plan(self, simulator: Simulator) -> tuple[np.ndarray, np.ndarray]:
+        """Actions int64 [B, J] for the request in hand of every environment, whose walk has not begun, and how many
+        there are, int64 [B]; 0: reject. ``prepare`` was called before."""

@@ -42,6 +42,12 @@ class PlannerMethod:
         reject = simulator.num_actions - 1
         return np.where(steps < self._lengths, self._plans[self._rows, steps], reject)
 
+    def plan(self, simulator: Simulator) -> tuple[np.ndarray, np.ndarray]:
+        """See ``WholeWalks``."""
+        rows = np.flatnonzero(simulator.world.env["done"] == 0)
+        self.planner.plan_rows(simulator.world, rows, self._plans, self._lengths)
+        return self._plans, self._lengths
+
 
 class PlannerPlay(PlannerMethod):
     """The method of a planner with ``play``, which answers all requests of a horizon in one compiled call."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from nfv_torchrl.codec import decode_action
 from nfv_torchrl.simulator.books import empty_network, keep_running, release_walk, reserve_step
-from nfv_torchrl.simulator.compiled import kernel, part
+from nfv_torchrl.simulator.compiled import inlined, kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step, write_mask
 from nfv_torchrl.simulator.reasons import NO_REASON, Reason
 from nfv_torchrl.simulator.slots import next_request, open_slot, paper_service
@@ -21,6 +21,8 @@ from nfv_torchrl.simulator.view import show_request
 NO_FEASIBLE_ACTION = int(Reason.NO_FEASIBLE_ACTION)
 REJECTED_BY_POLICY = int(Reason.REJECTED_BY_POLICY)
 INVALID_ACTION = int(Reason.INVALID_ACTION)
+PLENTY = (1 << 60, 1 << 60, 1 << 60)
+"""Room before any environment was looked at."""
 
 
 @part
@@ -138,14 +140,38 @@ def step_range(world, actions, first, last):
 
     Returns the least number of free records, free entries and free log places left in any of them.
     """
-    records = entries = places = np.int64(1) << 60
+    room = PLENTY
     for b in range(first, last):
         step_env(world, b, actions[b])
-        e = world.env[b]
-        records = min(records, e.free_records)
-        entries = min(entries, e.free_entries)
-        places = min(places, world.log.action.shape[1] - e.log_length)
-    return records, entries, places
+        room = _least_room(world, b, room)
+    return room
+
+
+@kernel
+def answer_range(world, plans, lengths, first, last):
+    """Answer the requests that environments first .. last - 1 are at, as ``Simulator.answer`` says.
+
+    Returns what ``step_range`` returns.
+    """
+    room = PLENTY
+    reject = np.int64(world.seen.mask.shape[1] - 1)
+    for b in range(first, last):
+        k = 0
+        while world.env[b].done == 0:
+            step_env(world, b, plans[b, k] if k < lengths[b] else reject)
+            k += 1
+            if world.outcome[b, OUTCOME.request_done] > 0.0:
+                break
+        room = _least_room(world, b, room)
+    return room
+
+
+@inlined
+def _least_room(world, b, room):
+    e = world.env[b]
+    records, entries, places = room
+    places = min(places, world.log.action.shape[1] - e.log_length)
+    return min(records, e.free_records), min(entries, e.free_entries), places
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
@@ -177,18 +177,28 @@ class Simulator:
             raise ValueError(
                 f"actions have shape {list(actions.shape)}; one index for each of [{self.batch_size}] is needed"
             )
+        self.make_room(*self._over_environments(kernels.step_range, actions))
+
+    def answer(self, plans: np.ndarray, lengths: np.ndarray) -> None:
+        """Answer the request in hand of every environment, whose walk has not begun; one past its horizon stays there.
+
+        Args:
+            plans: int64 [B, J], actions of each; where the request is not over with them, it is rejected.
+            lengths: int64 [B], how many there are.
+        """
+        self.make_room(*self._over_environments(kernels.answer_range, plans, lengths))
+
+    def _over_environments(self, kernel: Callable[..., tuple[int, int, int]], *arguments: np.ndarray) -> tuple:
+        """``kernel`` on all environments, shared out among the threads; the least room left in any of them."""
         if self._pool is None:
-            room = kernels.step_range(self.world, actions, 0, self.batch_size)
-        else:
-            bounds = np.linspace(0, self.batch_size, self.threads + 1).astype(int).tolist()
-            waiting = [
-                self._pool.submit(kernels.step_range, self.world, actions, first, last)
-                for first, last in pairwise(bounds[1:])
-            ]
-            rooms = [kernels.step_range(self.world, actions, bounds[0], bounds[1])]
-            rooms += [future.result() for future in waiting]
-            room = tuple(min(values) for values in zip(*rooms, strict=True))
-        self.make_room(*room)
+            return kernel(self.world, *arguments, 0, self.batch_size)
+        bounds = np.linspace(0, self.batch_size, self.threads + 1).astype(int).tolist()
+        waiting = [
+            self._pool.submit(kernel, self.world, *arguments, first, last) for first, last in pairwise(bounds[1:])
+        ]
+        rooms = [kernel(self.world, *arguments, bounds[0], bounds[1])]
+        rooms += [future.result() for future in waiting]
+        return tuple(min(values) for values in zip(*rooms, strict=True))
 
     def make_room(self, records: int, entries: int, places: int) -> None:
         """Enlarge what the next step could fill: it may end one walk, of at most J steps and 2 J reservations.

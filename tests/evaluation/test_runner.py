@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 import toy
+from stepwise import StepByStep
 from tensordict.nn import TensorDictModule
 
 from nfv_torchrl.errors import ScenarioError
@@ -14,7 +15,7 @@ from nfv_torchrl.evaluation.audit import audit_run
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import MOST_TOGETHER, run_method, scenario_for
-from nfv_torchrl.methods import PlannerMethod, PolicyMethod, RandomMethod
+from nfv_torchrl.methods import PlannerMethod, PolicyMethod, RandomMethod, WholeWalks
 from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator.reasons import Reason
@@ -58,6 +59,31 @@ def test_decisions_depend_on_the_seed_alone(method):
         (alone,) = run_method(scenario, method, [record.workload_seed])
         assert_same_decisions(alone, record)
     assert not np.array_equal(together[0].cost[:40], together[1].cost[:40])
+
+
+class Careless(GreedyPlanner):
+    """Some of its plans end too soon, and some begin with no action at all."""
+
+    def plan_rows(self, world, rows, plans, lengths):
+        super().plan_rows(world, rows, plans, lengths)
+        for b in rows:
+            kind = world.env["cursor"][b] % 5
+            lengths[b] = max(lengths[b] - (kind == 1), 0)
+            if kind == 2:
+                plans[b, 0] = -1
+
+
+@pytest.mark.parametrize("planner", [MyopicPlanner(), Careless()])
+@pytest.mark.parametrize("changes", [{}, {"step_budget": "slot", "max_steps": 8}, {"mask": "feasible"}])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_whole_walks_are_those_of_single_steps(planner, changes, threads):
+    method = PlannerMethod(planner, name="planner")
+    assert isinstance(method, WholeWalks)
+    runs = (run_method(small_scenario(**changes), each, [0, 1, 2], threads=threads)
+            for each in (method, StepByStep(method)))  # fmt: skip
+    for whole, single in zip(*runs, strict=True):
+        assert_same_decisions(whole, single)
+        assert 0 < whole.accepted.mean() < 1
 
 
 @pytest.mark.parametrize("colocation", [False, True])

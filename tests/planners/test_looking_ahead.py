@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from exhaustive import Case, cheapest_by_trying, tight_case
+from stepwise import StepByStep
 from toy import DUO, DUO_0_TO_3, action, toy_catalogue, toy_scenario, toy_substrate, workload_of
 
 from nfv_torchrl.codec import decode_action
@@ -129,14 +130,6 @@ def test_the_egress_is_packed():
         assert observation.known()["least_cost"][0] == pytest.approx(expected)
         packed += expected < math.inf and case.tables.chain_length[0] > 1
     assert packed > 5
-
-
-class StepByStep:
-    """A method without what it does in one call."""
-
-    def __init__(self, method):
-        self.name, self.mask, self.one_hot = method.name, method.mask, method.one_hot
-        self.decides_admission, self.prepare, self.act = method.decides_admission, method.prepare, method.act
 
 
 def busy_scenario(**changes):
