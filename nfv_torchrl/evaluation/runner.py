@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -114,11 +115,15 @@ def _play(simulator: Simulator, method: Method, progress: Progress | None, clock
     """Step all environments to the end of their horizons. Returns the seconds spent deciding."""
     if isinstance(method, WholePlay):
         return _play_whole(simulator, method, progress, clock)
-    decide = _plan_and_answer if isinstance(method, WholeWalks) else _act_and_step
+    decide = (
+        partial(_plan_and_answer, simulator, method, clock)
+        if isinstance(method, WholeWalks)
+        else partial(_act_and_step, simulator, method, clock)
+    )
     env = simulator.world.env
     seconds, rounds, answered = 0.0, 0, 0
     while not env["done"].all():
-        seconds += decide(simulator, method, clock)
+        seconds += decide()
         rounds += 1
         if progress is not None and rounds % ROUNDS_PER_REPORT == 0:
             total = int(env["cursor"].sum())
