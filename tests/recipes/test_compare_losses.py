@@ -99,7 +99,7 @@ def test_cells_stay_what_they_were():
     with initialize_config_dir(str(ROOT / "recipes" / "config"), version_base=None):
         config = OmegaConf.to_container(compose("compare_losses"), resolve=True)
     found = {name: recipe("compare_losses").training_cell(config, name, 3).spec["overrides"] for name in ("dqn", "ppo")}
-    mine = ["seed=3", "eval.seeds=[1000,1001]", "logger.figures=false"]
+    mine = ["seed=3", "eval.seeds=[1000,1001]", "logger.figures=false", "logger.references=false"]
     target = "target.value_network_update_interval=100"
     first = [
         "collector.total_frames=200000",
