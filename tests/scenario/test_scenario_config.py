@@ -43,10 +43,7 @@ def composed(*overrides: str) -> Scenario:
 # ---------------------------------------------------------------- yaml
 
 
-OTHERS = [
-    "cnupb",
-    "virne",
-]  # their length and load are those of the requests that they read, and have tests of their own
+OTHERS = ["cnupb", "virne"]  # as long and as loaded as the requests that they read
 
 
 def test_all_are_listed_here():
@@ -61,6 +58,15 @@ def test_yaml_builds(name):
     assert (scenario.name, *actual) == (name, *SETTINGS[name][:-1])
     assert scenario.offered_load() == pytest.approx(SETTINGS[name][-1], abs=0.005)
     assert composed(f"+scenario={name}", "scenario.colocation=true").colocation
+
+
+def test_cnupb_has_their_network_and_requests(monkeypatch):
+    monkeypatch.chdir(Path(__file__).parents[2])  # its requests are named from the folder that has docs/
+    scenario = composed("+scenario=cnupb")
+    requests = scenario.workload(0)
+    assert (scenario.name, scenario.substrate.num_nodes, scenario.free_ends) == ("cnupb", 12, True)
+    assert 1100 <= len(requests) <= 2000
+    assert scenario.horizon > requests.slot[-1]
 
 
 def test_virne_is_as_long_as_its_requests():
