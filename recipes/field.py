@@ -26,7 +26,7 @@ from nfv_torchrl.evaluation.score import check_place, freeze
 from nfv_torchrl.experiments.cells import CellStore
 from nfv_torchrl.experiments.computing import compute_shown
 from nfv_torchrl.experiments.field import field_figure, field_table, place_rows, places_of, published_rows, runs_of
-from nfv_torchrl.experiments.transfer import with_policies
+from nfv_torchrl.experiments.transfer import POLICY, policy_files, with_policies
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
 from nfv_torchrl.settings.recipes import FieldSettings, read_settings
@@ -38,7 +38,8 @@ from nfv_torchrl.training.setup import run_folder
 def main(cfg: DictConfig) -> None:
     read_settings(cfg, FieldSettings)
     config = cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=True))
-    config["method"] = with_policies(config["method"], config["checkpoints"] or [config["checkpoint"]])
+    if POLICY in config["method"]:
+        config["method"] = with_policies(config["method"], policy_files(config))
     store = CellStore(run_folder(config["output"], "output"), Path(__file__).parent)
     places = places_of(config, Path(__file__).parent)
     if config["freeze"]:

@@ -35,6 +35,9 @@ from nfv_torchrl.settings.values import list_of_seeds
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.setup import run_folder
 
+MASKABLE_PPO = "maskable_ppo"
+"""Its entry, and the recipe that it names in place of one of this folder."""
+
 
 @recipe("time_to_quality")
 def main(cfg: DictConfig) -> None:
@@ -123,8 +126,6 @@ def exact_cell(config: Mapping[str, Any]) -> Cell:
     spec = {"scenario": config["scenario"], "method": method, "training": None, "seeds": config["workloads"]}
     return make_cell("evaluation", "myopic_optimal", spec)
 
-
-MASKABLE_PPO = "maskable_ppo"
 
 if __name__ == "__main__":
     main()

@@ -27,7 +27,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import csv_text
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.computing import compute_shown
-from nfv_torchrl.experiments.transfer import network_rows, transfer_tables, with_policies
+from nfv_torchrl.experiments.transfer import network_rows, policy_files, transfer_tables, with_policies
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
 from nfv_torchrl.settings.recipes import TransferSettings, read_settings
@@ -65,19 +65,6 @@ def main(cfg: DictConfig) -> None:
     print("", *(each.text() for each in tables), f"Tables and cells: {store.folder}", sep="\n\n")
     if failures:
         raise ScenarioError("\n  ".join(["some runs failed:", *(f"{key}: {text}" for key, text in failures.items())]))
-
-
-def policy_files(config: Mapping[str, Any]) -> list[str]:
-    """The policies, one for each training seed.
-
-    Raises:
-        ScenarioError: there is none, or one is no file.
-    """
-    files = config["checkpoints"] or [config["checkpoint"]]
-    for file in files:
-        if file is None or not Path(file).is_file():
-            raise ScenarioError(f"checkpoint: {file} is no file; name one, such as runs/candidate/best.pt")
-    return list(files)
 
 
 def chosen(config: Mapping[str, Any]) -> list[str]:

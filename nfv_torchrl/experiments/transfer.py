@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
 from nfv_torchrl.evaluation.statistics import Interval, mean_interval
 from nfv_torchrl.evaluation.tables import Table
@@ -21,6 +23,19 @@ POLICY = "checkpoint"
 OF_SERVICES = ("aar/SERVICE", "refused/SERVICE")
 """What is told for each service, of the policy."""
 Rows = list[dict[str, Any]]
+
+
+def policy_files(config: Mapping[str, Any]) -> list[str]:
+    """The policies that ``checkpoint`` or ``checkpoints`` names, one for each training seed.
+
+    Raises:
+        ScenarioError: there is none, or one is no file.
+    """
+    files = config["checkpoints"] or [config["checkpoint"]]
+    for file in files:
+        if file is None or not Path(file).is_file():
+            raise ScenarioError(f"checkpoint: {file} is no file; name one, such as runs/candidate/best.pt")
+    return list(files)
 
 
 def with_policies(methods: Mapping[str, Any], files: Sequence[str]) -> dict[str, Any]:

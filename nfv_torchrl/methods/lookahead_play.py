@@ -123,8 +123,8 @@ class LookaheadPlay:
 
     def play(self, simulator: Simulator, b: int) -> np.ndarray:
         """Answer all requests of environment b. Returns some of the values that decided, as ``choose`` has them."""
-        world, looking = simulator.world, self._looking
-        looking.prepare(world)
+        looking = self._looking
+        looking.prepare(simulator.world)
         values, state, steps = np.full((MOST, 2), np.nan, np.float32), NO_ROOM, 0
         while state != FINISHED:
             state, steps = play_lookahead(simulator.world, b, looking.ahead, self._scales, self._own, steps, values)

@@ -485,8 +485,8 @@ class FiguresSettings:
 
 
 @dataclass(frozen=True)
-class ComparedLoss:
-    """One entry of ``losses``."""
+class NamedTraining:
+    """One entry of ``losses`` or ``methods``: what is trained under that name."""
 
     overrides: Overrides
     recipe: str = "dqn"
@@ -510,16 +510,8 @@ class CompareLossesSettings:
     output: str
     overrides: Overrides
     settings: dict[str, Overrides]
-    losses: dict[str, ComparedLoss]
+    losses: dict[str, NamedTraining]
     figures: dict[str, Overrides]
-
-
-@dataclass(frozen=True)
-class TimedMethod:
-    """One entry of ``methods``."""
-
-    overrides: Overrides
-    recipe: str = "dqn"
 
 
 @dataclass(frozen=True)
@@ -546,7 +538,7 @@ class TimeToQualitySettings:
     output: str
     overrides: Overrides
     settings: dict[str, Overrides]
-    methods: dict[str, TimedMethod]
+    methods: dict[str, NamedTraining]
     maskable_ppo: MaskablePPO
 
 

@@ -169,9 +169,8 @@ class RunLogger(EventLog):
     ) -> None:
         """Log the config as text and its numbers as hyperparameters, and which series stand in one chart.
 
-        ``metrics`` are the scalar tags that the HParams tab shows beside them. From now on
-        the clock runs. The summaries go into the run's own
-        event file; ``SummaryWriter.add_hparams`` would open a run of its own for them.
+        ``metrics`` are the scalar tags that the HParams tab shows beside them. The summaries go into the run's own
+        event file; ``SummaryWriter.add_hparams`` would open a run of its own for them. From now on the clock runs.
         """
         if not self.resumed:
             self.writer.add_text("config", f"```yaml\n{config_text}\n```", 0)

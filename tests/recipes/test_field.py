@@ -36,3 +36,12 @@ def test_it_compares_pairs_and_freezes(tmp_path, capsys):
     assert runs["abilene-2-seed_1"]["rows"]["greedy"]["aar"] <= 1
     mean = sum(run["rows"]["greedy"]["aar"] for run in runs.values()) / 2
     assert mean == pytest.approx(aar["greedy"])
+
+
+@pytest.mark.parametrize("named", [[], ["checkpoint=nowhere.pt"], ["checkpoints=[nowhere.pt,nor_there.pt]"]])
+def test_a_policy_that_is_not_there_is_refused_before_anything_is_written(named, tmp_path, capsys):
+    output = tmp_path / "out"
+    with pytest.raises(SystemExit):
+        call("field", "set=traffic", "only=[abilene]", "method=[greedy,checkpoint]", *named, f"output={output}")
+    assert "is no file; name one" in capsys.readouterr().err
+    assert not output.exists()
