@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
+import multiprocessing
 import os
 import runpy
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from multiprocessing import forkserver, get_context
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import BinaryIO
 
 SERVER = get_context("forkserver")
 SERVER.set_forkserver_preload(["forked_imports"])
@@ -38,16 +42,51 @@ def run_forked(script: Path, arguments: Sequence[str], cwd: Path | None, timeout
     """
     with tempfile.TemporaryDirectory(prefix="forked_") as folder:
         out, err = Path(folder, "out"), Path(folder, "err")
-        _start_server()
-        place = (str(cwd or Path.cwd()), dict(os.environ))
-        process = SERVER.Process(target=_become, args=(str(script), [*arguments], place, out, err))
-        process.start()
+        process = _start(script, arguments, (str(cwd or Path.cwd()), dict(os.environ)), out, err)
         process.join(timeout)
         if process.exitcode is None:
             process.kill()
             raise subprocess.TimeoutExpired([str(script), *arguments], timeout, out.read_bytes(), err.read_bytes())
         command = [sys.executable, str(script), *arguments]
         return subprocess.CompletedProcess(command, process.exitcode, out.read_text(), err.read_text())
+
+
+class ForkedTraining:
+    """In place of the ``subprocess.Popen`` by which a training cell starts its recipe.
+
+    Its processor time is the server's, so the log of the training says 0 s.
+    """
+
+    def __init__(self, command: Sequence[str], stdout: BinaryIO, stderr: BinaryIO, env: dict[str, str]) -> None:
+        self._process = _start(command[1], command[2:], (str(Path.cwd()), env), Path(stdout.name), Path(stderr.name))
+
+    def terminate(self) -> None:
+        self._process.terminate()
+
+    def wait(self) -> int | None:
+        self._process.join()
+        return self._process.exitcode
+
+
+@contextlib.contextmanager
+def forked_workers() -> Iterator[None]:
+    """TorchRL's collectors fork their workers; test_collecting.py has workers that begin with Python itself."""
+    _start_server()
+    before = multiprocessing.get_start_method(allow_none=True)
+    multiprocessing.set_start_method("forkserver", force=True)
+    try:
+        yield
+    finally:
+        multiprocessing.set_start_method(before, force=True)
+
+
+def _start(
+    script: str | Path, arguments: Sequence[str], place: tuple[str, dict[str, str]], out: Path, err: Path
+) -> BaseProcess:
+    _start_server()
+    process = SERVER.Process(target=_become, args=(str(script), [*arguments], place, out, err))
+    process.start()
+    return process
 
 
 def _become(script: str, arguments: Sequence[str], place: tuple[str, dict[str, str]], out: Path, err: Path) -> None:

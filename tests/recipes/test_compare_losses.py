@@ -20,6 +20,10 @@ AAR = {
 }
 
 
+# Pictures that are not looked at here would take a second each.
+FEW = ["~figures.replay", "~figures.distributional", "~figures.policy_gradient"]
+
+
 def rows_of(path):
     with path.open() as file:
         return list(csv.DictReader(file))
@@ -48,7 +52,7 @@ def output(tmp_path_factory):
     folder = tmp_path_factory.mktemp("losses")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recipe("compare_losses"), "compute_shown", pretend)
-        call("compare_losses", "only=[dqn,n_step]", "seeds=3", "workloads=2", f"output={folder}")
+        call("compare_losses", "only=[dqn,n_step]", "seeds=3", "workloads=2", f"output={folder}", *FEW)
     return folder
 
 
@@ -90,7 +94,7 @@ def test_curves_and_profiles_by_hand(output):
 
 def test_a_look_at_what_is_there(output, capsys):
     before = (output / "losses.md").read_bytes()
-    call("compare_losses", "only=[dqn,n_step]", "seeds=3", "workloads=2", "compute=false", f"output={output}")
+    call("compare_losses", "only=[dqn,n_step]", "seeds=3", "workloads=2", "compute=false", f"output={output}", *FEW)
     assert (output / "losses.md").read_bytes() == before and "n_step" in capsys.readouterr().out
 
 
@@ -129,6 +133,8 @@ def test_for_real_and_not_twice(tmp_path):
         "eval_seeds=[1000]",
         "parallel.jobs=1",
         f"output={tmp_path}",
+        "~figures.memory",
+        *FEW,
     ]
     call("compare_losses", *arguments, f"settings.dqn=[{quoted}]", *TINY_SCENARIO)
     assert "| dqn | " in (tmp_path / "losses.md").read_text()

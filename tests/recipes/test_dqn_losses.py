@@ -25,7 +25,6 @@ from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.vocabulary import without_row
 
-SHORT = "scenario.horizon=20"
 CHOICES = {
     "dqn": ["loss=dqn"],
     "double_dqn": ["loss=double_dqn"],
@@ -33,14 +32,14 @@ CHOICES = {
     "distributional": ["loss=distributional"],
     "discrete_sac": ["loss=discrete_sac", "exploration=none"],
     "cql": ["loss=cql"],
-    "iqn": ["loss=iqn", "network=implicit", "network.hidden=[8,8]", "loss.quantiles=2", SHORT],
-    "munchausen": ["loss=munchausen", SHORT],
-    "rainbow": ["preset=rainbow", "network.hidden=[8,8]", SHORT],
-    "paper_literal": ["preset=paper", "loss=paper_literal", SHORT],
-    "DQNLoss": ["loss._target_=torchrl.objectives.DQNLoss", "+loss.delay_value=false", "buffer=prioritized", SHORT],
-    "DistributionalDQNLoss": ["loss._target_=torchrl.objectives.DistributionalDQNLoss", "+loss.atoms=5", SHORT],
-    "DiscreteSACLoss": ["loss._target_=torchrl.objectives.DiscreteSACLoss", "exploration=none", "network=noisy", SHORT],
-    "DiscreteIQLLoss": ["loss._target_=torchrl.objectives.DiscreteIQLLoss", "network=candidate", SHORT],
+    "iqn": ["loss=iqn", "network=implicit", "network.hidden=[8,8]", "loss.quantiles=2"],
+    "munchausen": ["loss=munchausen"],
+    "rainbow": ["preset=rainbow", "network.hidden=[8,8]"],
+    "paper_literal": ["preset=paper", "loss=paper_literal"],
+    "DQNLoss": ["loss._target_=torchrl.objectives.DQNLoss", "+loss.delay_value=false", "buffer=prioritized"],
+    "DistributionalDQNLoss": ["loss._target_=torchrl.objectives.DistributionalDQNLoss", "+loss.atoms=5"],
+    "DiscreteSACLoss": ["loss._target_=torchrl.objectives.DiscreteSACLoss", "exploration=none", "network=noisy"],
+    "DiscreteIQLLoss": ["loss._target_=torchrl.objectives.DiscreteIQLLoss", "network=candidate"],
     "dueling": ["network=dueling"],
     "noisy": ["network=noisy", "exploration=none"],
     "candidate": ["network=candidate", "loss=distributional"],
@@ -72,6 +71,7 @@ def train(folder, *overrides):
         "dqn",
         f"run_dir={folder}",
         *TINY_SCENARIO,
+        "scenario.horizon=20",
         *TINY_TRAINING,
         "eval.interval=6",
         "saving.interval=3",

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from inprocess import call
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tiny import TINY_SCENARIO, TINY_TRAINING, command, run
+from tiny import TINY_SCENARIO, TINY_TRAINING, command
 
 from nfv_torchrl.errors import AuditError, ScenarioError
 from nfv_torchrl.evaluation.audit import AuditReport
@@ -43,9 +43,9 @@ TINY = [
 FOUR = ("aar_over_iterations", "aar_vs_nodes", "presence_probability", "decision_time_vs_nodes")
 
 
-def figures(folder: Path, *overrides: str, dqn: Sequence[str] = TINY_TRAINING) -> subprocess.CompletedProcess[str]:
+def figures(folder: Path, *overrides: str, dqn: Sequence[str] = TINY_TRAINING) -> None:
     """Run the recipe without workers, which would import everything once more each; test_parallel.py has them."""
-    return run("figures.py", *arguments(folder, *overrides, dqn=dqn), "parallel.jobs=1", cwd=folder.parent)
+    call("figures", *arguments(folder, *overrides, dqn=dqn), "parallel.jobs=1")
 
 
 def arguments(folder: Path, *overrides: str, dqn: Sequence[str] = TINY_TRAINING) -> list[str]:
@@ -65,8 +65,7 @@ def files(folder: Path) -> dict[str, float]:
 def output(tmp_path_factory):
     """Four figures of one tiny network."""
     folder = tmp_path_factory.mktemp("figures") / "out"
-    done = figures(folder, f"figure=[{','.join(FOUR)}]")
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures(folder, f"figure=[{','.join(FOUR)}]")
     return folder
 
 
@@ -130,7 +129,7 @@ def test_users_leave_as_theory_says(output):
 
 def test_nothing_is_computed_twice(output, capsys):
     before = files(output)
-    call("figures", *arguments(output, f"figure=[{','.join(FOUR)}]"))
+    figures(output, f"figure=[{','.join(FOUR)}]")
     assert ", 0 training runs to do" in capsys.readouterr().out
     assert files(output) == before
 
@@ -139,7 +138,7 @@ def test_what_is_lost_is_computed_again_and_is_the_same(output):
     before, shown = files(output), (output / "aar_vs_nodes.csv").read_bytes()
     (lost,) = [path for path in (output / "cells").glob("greedy_*.json") if "coloc" not in path.name]
     lost.unlink()
-    call("figures", *arguments(output, "figure=aar_vs_nodes"))
+    figures(output, "figure=aar_vs_nodes")
     changed = {name for name, at in files(output).items() if before[name] != at}
     assert changed == {lost.name, lost.with_suffix(".npz").name}
     assert (output / "aar_vs_nodes.csv").read_bytes() == shown
@@ -162,17 +161,18 @@ def test_an_interrupted_training_goes_on(tmp_path):
     process.communicate(timeout=120)
     (log,) = folder.glob("runs/*.log")
     assert process.returncode != 0 and "Stopped and saved" in log.read_text()
-    done = figures(folder, "figure=aar_over_iterations", dqn=long)
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures(folder, "figure=aar_over_iterations", dqn=long)
     assert "Resumed from" in log.read_text()
     frames = [int(row["x"]) for row in table(folder / "aar_over_iterations.csv") if row["panel"].startswith("acting")]
     assert frames == list(range(0, 2561, 320))
 
 
-def test_a_failing_cell_leaves_the_others(tmp_path):
-    done = figures(tmp_path / "out", "figure=[aar_over_iterations,presence_probability]", dqn=["collector.num_envs=-1"])
-    assert done.returncode == 1 and "aar_over_iterations: not drawn" in done.stdout
-    assert "training ended with code" in done.stdout
+def test_a_failing_cell_leaves_the_others(tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        figures(tmp_path / "out", "figure=[aar_over_iterations,presence_probability]", dqn=["collector.num_envs=-1"])
+    printed = capsys.readouterr().out
+    assert ended.value.code == 1 and "aar_over_iterations: not drawn" in printed
+    assert "training ended with code" in printed
     assert (tmp_path / "out" / "presence_probability.png").exists()
     assert not (tmp_path / "out" / "aar_over_iterations.png").exists()
 

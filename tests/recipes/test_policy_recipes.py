@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from forked import forked_workers
 from inprocess import call
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tiny import TINY_SCENARIO
@@ -18,6 +19,7 @@ from nfv_torchrl.vocabulary import without_row
 
 TINY = [
     *TINY_SCENARIO,
+    "scenario.horizon=20",
     "collector.num_envs=4",
     "collector.steps=8",
     "collector.total_frames=192",
@@ -29,20 +31,19 @@ TINY = [
     "segment=2",
 ]
 BUFFER = ["buffer.size=20", "buffer.batch_size=4", "buffer.warmup_frames=32", "learner.updates=2"]
-SHORT = ["scenario.horizon=20"]
 RUNS = {
     "ppo": ("policy_gradient", ["pg_loss=ppo", "learner.minibatch=12"]),
     "a2c": ("policy_gradient", ["pg_loss=a2c"]),
     "reinforce": ("policy_gradient", ["pg_loss=reinforce"]),
     "ClipPPOLoss": (
         "policy_gradient",
-        ["loss._target_=torchrl.objectives.ClipPPOLoss", "+loss.clip_value=0.2", *SHORT],
+        ["loss._target_=torchrl.objectives.ClipPPOLoss", "+loss.clip_value=0.2"],
     ),
-    "A2CLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.A2CLoss", *SHORT]),
-    "ReinforceLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.ReinforceLoss", *SHORT]),
+    "A2CLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.A2CLoss"]),
+    "ReinforceLoss": ("policy_gradient", ["loss._target_=torchrl.objectives.ReinforceLoss"]),
     "ppo on candidates": ("policy_gradient", ["network=candidate"]),
-    "recurrent ppo": ("policy_gradient", ["pg_loss=recurrent_ppo", "network.hidden=8", "learner.minibatch=2", *SHORT]),
-    "rdpg": ("dqn", ["preset=rdpg", *BUFFER, "network.hidden=8", "loss.burn_in=2", *SHORT]),
+    "recurrent ppo": ("policy_gradient", ["pg_loss=recurrent_ppo", "network.hidden=8", "learner.minibatch=2"]),
+    "rdpg": ("dqn", ["preset=rdpg", *BUFFER, "network.hidden=8", "loss.burn_in=2"]),
     "ppo, two workers": ("policy_gradient", ["collector=multi_sync"]),
     "nfvdeep": ("policy_gradient", ["env=nfvdeep"]),
     "gru": ("dqn", ["preset=recurrent", *BUFFER, "loss.burn_in=2"]),
@@ -52,6 +53,7 @@ LOGGED |= {"recurrent ppo": "train/kl_approx", "rdpg": "train/loss_qvalue"}
 
 
 @pytest.mark.parametrize("name", RUNS)
+@forked_workers()
 def test_it_trains_resumes_to_the_bit_and_loads(name, tmp_path):
     recipe, overrides = RUNS[name]
     folder = tmp_path / "run"

@@ -6,6 +6,7 @@ from functools import partial
 
 import pytest
 import torch
+from forked import forked_workers
 from tensordict.nn import TensorDictSequential
 from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule
@@ -77,6 +78,7 @@ def test_two_workers_see_what_one_process_sees_and_go_on_to_the_bit():
     assert expected["action"].shape == (4, 12)
 
 
+@forked_workers()
 def test_a_worker_that_is_lost_ends_the_batches_with_one_error():
     policy, _ = exploring(greedy())
     lost = MultiAsync(4, 12, 1, workers=2)
