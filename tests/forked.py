@@ -42,13 +42,23 @@ def run_forked(script: Path, arguments: Sequence[str], cwd: Path | None, timeout
     """
     with tempfile.TemporaryDirectory(prefix="forked_") as folder:
         out, err = Path(folder, "out"), Path(folder, "err")
-        process = _start(script, arguments, (str(cwd or Path.cwd()), dict(os.environ)), out, err)
+        process = fork(script, arguments, (str(cwd or Path.cwd()), dict(os.environ)), out, err)
         process.join(timeout)
         if process.exitcode is None:
             process.kill()
             raise subprocess.TimeoutExpired([str(script), *arguments], timeout, out.read_bytes(), err.read_bytes())
         command = [sys.executable, str(script), *arguments]
         return subprocess.CompletedProcess(command, process.exitcode, out.read_text(), err.read_text())
+
+
+def fork(
+    script: str | Path, arguments: Sequence[str], place: tuple[str, dict[str, str]], out: Path, err: Path
+) -> BaseProcess:
+    """Start ``script``; ``place`` is its working folder and environment, ``out`` and ``err`` get what it prints."""
+    _start_server()
+    process = SERVER.Process(target=_become, args=(str(script), [*arguments], place, out, err))
+    process.start()
+    return process
 
 
 class ForkedTraining:
@@ -58,7 +68,7 @@ class ForkedTraining:
     """
 
     def __init__(self, command: Sequence[str], stdout: BinaryIO, stderr: BinaryIO, env: dict[str, str]) -> None:
-        self._process = _start(command[1], command[2:], (str(Path.cwd()), env), Path(stdout.name), Path(stderr.name))
+        self._process = fork(command[1], command[2:], (str(Path.cwd()), env), Path(stdout.name), Path(stderr.name))
 
     def terminate(self) -> None:
         self._process.terminate()
@@ -78,15 +88,6 @@ def forked_workers() -> Iterator[None]:
         yield
     finally:
         multiprocessing.set_start_method(before, force=True)
-
-
-def _start(
-    script: str | Path, arguments: Sequence[str], place: tuple[str, dict[str, str]], out: Path, err: Path
-) -> BaseProcess:
-    _start_server()
-    process = SERVER.Process(target=_become, args=(str(script), [*arguments], place, out, err))
-    process.start()
-    return process
 
 
 def _become(script: str, arguments: Sequence[str], place: tuple[str, dict[str, str]], out: Path, err: Path) -> None:

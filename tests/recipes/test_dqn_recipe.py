@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from forked import fork
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tiny import TINY_SCENARIO, TINY_TRAINING, command, run, train
+from tiny import ROOT, TINY_SCENARIO, TINY_TRAINING, command, run, train
 
 from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
@@ -73,13 +74,14 @@ def test_a_killed_run_resumes_to_the_bit(tmp_path):
     whole, folder = tmp_path / "whole", tmp_path / "run"
     assert train(whole, "buffer=prioritized").returncode == 0
     arguments = [f"run_dir={folder}", "preset=mlp", *TINY_SCENARIO, *TINY_TRAINING, "buffer=prioritized"]
-    process = subprocess.Popen(command("dqn.py", *arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    printed = tmp_path / "printed"
+    process = fork(ROOT / "recipes" / "dqn.py", arguments, (str(tmp_path), dict(os.environ)), printed, printed)
     checkpoints = CheckpointFolder(folder)
     deadline = time.monotonic() + 120
-    while len(checkpoints.files()) < 2 and time.monotonic() < deadline and process.poll() is None:
+    while len(checkpoints.files()) < 2 and time.monotonic() < deadline and process.is_alive():
         time.sleep(0.005)
-    os.kill(process.pid, signal.SIGKILL)
-    process.communicate()
+    process.kill()
+    process.join()
     killed_at = int(checkpoints.files()[-1].stem.split("_")[1])
     assert killed_at < 960, "the run had ended before it was killed"
     done = run("dqn.py", *arguments, "resume=true")

@@ -6,8 +6,10 @@ import signal
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from forked import ForkedTraining
 from tiny import ROOT, TINY_SCENARIO
 
 from nfv_torchrl.errors import ScenarioError
@@ -22,6 +24,8 @@ from nfv_torchrl.training.checkpoint import CheckpointFolder
 WORLD = {"substrate": {"nodes": 5}, "horizon": 60, "arrival_rate": 4.0, "mean_lifetime": 40.0}
 SMALL = ["collector.num_envs=2", "collector.steps=8", "eval.interval=2", "eval.seeds=[1000]", "network.hidden=[8]",
          "logger.figures=false", *TINY_SCENARIO]  # fmt: skip
+ODD = "größe = 1, 'a' ${b} \\"
+"""A folder's name with what Hydra, shells and TensorBoard could take for something else."""
 
 
 def cell_of(*overrides: str, label: str = "train_größe=1, 'a'"):
@@ -31,7 +35,8 @@ def cell_of(*overrides: str, label: str = "train_größe=1, 'a'"):
 
 def test_under_a_path_with_anything_in_it(tmp_path, monkeypatch):
     """And a worker that is killed before it drops the checkpoints, or before it writes its cell, has lost nothing."""
-    store = CellStore(tmp_path / "größe = 1, 'a' ${b} \\", ROOT / "recipes")
+    monkeypatch.setattr(training, "subprocess", SimpleNamespace(Popen=ForkedTraining))  # below is a real one
+    store = CellStore(tmp_path / ODD, ROOT / "recipes")
     cell = cell_of("collector.total_frames=32")
     write = store.write
     monkeypatch.setattr(store, "write", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
@@ -49,7 +54,7 @@ def test_under_a_path_with_anything_in_it(tmp_path, monkeypatch):
 
 
 def test_a_worker_told_to_stop_lets_its_recipe_save(tmp_path, monkeypatch):
-    store = CellStore(tmp_path / "out", ROOT / "recipes")
+    store = CellStore(tmp_path / ODD, ROOT / "recipes")
     cell = cell_of("collector.total_frames=1000000", "saving.interval=1")
     monkeypatch.setattr(training, "stopping", False)
 
