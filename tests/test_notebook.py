@@ -13,7 +13,7 @@ TOUR = Path(__file__).parent.parent / "notebooks" / "tour.ipynb"
 def outputs():
     notebook = nbformat.read(TOUR, as_version=4)
     (parameters,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", ()))
-    parameters.source = "frames, seeds, horizon = 8_192, [0, 1], 80"
+    parameters.source = "frames, seeds, horizon = 2_048, [0, 1], 80"
     NotebookClient(notebook, timeout=240, kernel_name="python3").execute()
     return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
 
