@@ -43,7 +43,8 @@ class Quantity:
         form: how they show it.
         details: in the second table, which leaves out columns of zeros, not in the first.
         train: two totals of `TrainingWindow` whose ratio is `train/NAME`; None: something else logs it.
-        measured: wall time, which an audit cannot recompute and whose spread over seeds says nothing.
+        measured: by the run alone, such as wall time: an audit cannot recompute it, and its spread over seeds says
+            nothing.
     """
 
     name: str
@@ -128,6 +129,8 @@ for _row in (
              "mean over kinds, plus rates of segments, over the same with each rate times its hops", ("eval", "files"),
              "LRC", "share"),
     Quantity("lar", "1/s", "their revenue times lifetime, in all / time of the last arrival", ("eval", "files"), "LAR"),
+    Quantity("unproved", "", "requests of the whole run whose search reached its limit (`labels`), so that the answer "
+             "is not proved optimal; of methods with a limit", ("files",), "unproved", details=True, measured=True),
     Quantity("decision_seconds", SECONDS, "wall time of the decisions of the whole run", ("files",), measured=True),
     Quantity("decisions_per_second", "1/s", "requests answered per second of it", ("files",), "decisions/s",
              measured=True),

@@ -141,5 +141,5 @@ def _without_steps(record: RunRecord) -> RunRecord:
 
 _KEPT = (
     "method", "workload_seed", "scenario", "workload", "timeline", "accepted", "reason", "delay_ms", "cost", "hops",
-    "interrupted_at", "seconds",
+    "interrupted_at", "seconds", "unproved",
 )  # fmt: skip

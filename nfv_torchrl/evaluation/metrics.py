@@ -176,6 +176,11 @@ def lar(record: RunRecord) -> dict[str, float]:
     return {"": earned / last if last > 0 else math.nan}
 
 
+@metric(TABLE["unproved"])
+def unproved(record: RunRecord) -> dict[str, float]:
+    return {} if record.unproved is None else {"": record.unproved}
+
+
 @metric(TABLE["decision_seconds"])
 def decision_seconds(record: RunRecord) -> float:
     return float(record.seconds)

@@ -58,6 +58,7 @@ class RunRecord:
     step_vm: np.ndarray  # int32 [total steps], index of the VM on its node
     step_function: np.ndarray  # int32 [total steps], index in the chain, -1 = forward only
     seconds: float  # wall time of the decisions alone
+    unproved: int | None = None  # requests answered when a search reached its limit; None: the method has none
 
     def __post_init__(self) -> None:
         requests, steps = len(self.workload.slot), int(self.step_offsets[-1])

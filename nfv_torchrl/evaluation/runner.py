@@ -11,7 +11,7 @@ import numpy as np
 from nfv_torchrl.codec import decode_action
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.records import FORWARD, NO_ACTION, REJECT, RunRecord
-from nfv_torchrl.methods import Method, WholePlay, WholeWalks
+from nfv_torchrl.methods import MayStop, Method, WholePlay, WholeWalks
 from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
@@ -105,8 +105,11 @@ def _run_together(
     method.prepare(simulator, seeds)
     seconds = _play(simulator, method, progress, clock)
     requests = sum(len(workload) for workload in workloads)
+    counts = method.unproved() if isinstance(method, MayStop) else None
+    unproved = [None] * len(seeds) if counts is None else counts.tolist()
+    shares = [seconds * len(workload) / max(requests, 1) for workload in workloads]
     return [
-        _record(simulator, b, method.name, seed, workload, timeline, seconds * len(workload) / max(requests, 1))
+        _record(simulator, b, method.name, seed, workload, timeline, shares[b], unproved[b])
         for b, (seed, workload, timeline) in enumerate(zip(seeds, workloads, timelines, strict=True))
     ]
 
@@ -174,6 +177,7 @@ def _record(
     workload: Workload,
     timeline: FailureTimeline,
     seconds: float,
+    unproved: int | None,
 ) -> RunRecord:
     """What environment b answered, as arrays of its own."""
     log, requests = simulator.world.log, len(workload)
@@ -201,6 +205,7 @@ def _record(
         step_vm=vm,
         step_function=function,
         seconds=seconds,
+        unproved=unproved,
     )
 
 

@@ -119,7 +119,8 @@ def method_table(comparison: Comparison) -> Table:
 
 
 def detail_table(comparison: Comparison) -> Table:
-    """One row a method: why requests were rejected, what each service cost, and what failures cut short, if any."""
+    """One row a method: why requests were rejected, what each service cost, what failures cut short, and answers that
+    were not proved the best, if any."""
     shown = [
         (key, row)
         for key, row in _printed(comparison)
@@ -147,7 +148,9 @@ def _head(key: str, row: Quantity) -> str:
 def _metric_cell(comparison: Comparison, method: str, key: str, row: Quantity) -> str:
     interval, form = comparison.interval(method, key), FORMS[row.form]
     # The runs of a batch share their decision time, so its spread over seeds says nothing.
-    return form(interval.mean) if row.measured else _cell(interval, form)
+    if row.measured and not math.isnan(interval.mean):
+        return form(interval.mean)
+    return _cell(interval, form)
 
 
 def paired_table(comparison: Comparison, reference: str) -> Table:

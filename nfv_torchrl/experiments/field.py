@@ -24,8 +24,15 @@ from nfv_torchrl.experiments.rows import cost_ratios, together, values
 from nfv_torchrl.experiments.transfer import POLICY, is_policy
 from nfv_torchrl.training.cli import recipe_configs
 
-MEASURES = {"aar": ".4f", "lrc": ".3f", "lar": ",.0f", "cost_per_accepted": ",.1f", "decisions_per_second": ",.0f"}
-"""What a table shows of every method, where its runs have it."""
+MEASURES = {
+    "aar": ".4f",
+    "lrc": ".3f",
+    "lar": ",.0f",
+    "cost_per_accepted": ",.1f",
+    "decisions_per_second": ",.0f",
+    "unproved": ",.1f",
+}
+"""What a table shows of every method, where its runs have it; ``unproved`` only if it is not zero everywhere."""
 Rows = list[dict[str, Any]]
 
 
@@ -70,11 +77,20 @@ def _place(config: Mapping[str, Any], recipes: Path, name: str, load: float) -> 
     seeds = list(range(config["seeds"]))
     common = {"scenario": scenario, "seeds": seeds} | ({"scenario_seeds": seeds} if config["draws"] else {})
     where = f"{name}-{load:g}"
+    entries = {key: limited(method, config["labels"]) for key, method in config["method"].items()}
     methods = {
         key: make_cell("evaluation", f"{where}-{key}", {**common, "method": method, "training": None})
-        for key, method in config["method"].items()
+        for key, method in entries.items()
     }
     return Place(name, load, methods, make_cell("bound", f"{where}-bound", common) if config["bounds"] else None)
+
+
+def limited(method: Mapping[str, Any], labels: int | None) -> Mapping[str, Any]:
+    """The settings of a method with ``labels`` as the limit of its exact search, if it has one, and none of its own."""
+    planner = method.get("planner")
+    if labels is None or not isinstance(planner, Mapping) or planner.get("labels", 0) is not None:
+        return method
+    return {**method, "planner": {**planner, "labels": labels}}
 
 
 def scenario_config(recipes: Path, name: str, overrides: Sequence[str]) -> dict[str, Any]:
@@ -157,10 +173,11 @@ def published_rows(published: Sequence[Mapping[str, Any]], places: Sequence[Plac
 
 def field_table(title: str, rows: Rows, reference: str, axis: str) -> Table:
     """One line for each method at each network and load."""
-    measures = [metric for metric in MEASURES if any(row["metric"] == metric for row in rows)]
+    there = {row["metric"] for row in rows if row["metric"] != "unproved" or row["mean"] > 0}
+    measures = [metric for metric in MEASURES if metric in there]
     # RAC is AAR by another name; where requests bring their own demands, readers look for that name.
     heads = {"aar": "RAC" if "lrc" in measures else "AAR", "lrc": "LRC", "lar": "LAR", "cost_per_accepted": "cost $",
-             "decisions_per_second": "decisions/s"}  # fmt: skip
+             "decisions_per_second": "decisions/s", "unproved": "unproved"}  # fmt: skip
     lines: dict[tuple[str, float, str], dict[tuple[str, str], Any]] = {}
     for row in rows:
         lines.setdefault((row["network"], row["load"], row["method"]), {})[row["metric"], row["reference"]] = row

@@ -1,6 +1,6 @@
 """How a policy acts: at random, by the plans of a planner, by a trained network, or as a policy file says."""
 
-from nfv_torchrl.methods.base import Method, WholePlay, WholeWalks
+from nfv_torchrl.methods.base import MayStop, Method, WholePlay, WholeWalks
 from nfv_torchrl.methods.compiled import CompiledCandidates, CompiledMLP, acting_method, fastest_method
 from nfv_torchrl.methods.evolved import CandidatePolicy, Evolvable, PricePolicy
 from nfv_torchrl.methods.from_config import methods_from_config
@@ -14,6 +14,7 @@ __all__ = [
     "CompiledCandidates",
     "CompiledMLP",
     "Evolvable",
+    "MayStop",
     "Method",
     "PlannerMethod",
     "PolicyMethod",

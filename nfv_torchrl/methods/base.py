@@ -49,6 +49,14 @@ class WholePlay(Protocol):
 
 
 @runtime_checkable
+class MayStop(Protocol):
+    """A method that may answer a request before it knows the best answer, and counts how often it did."""
+
+    def unproved(self) -> np.ndarray | None:
+        """How many requests of each environment since ``prepare``, int64 [B]; None: it never does."""
+
+
+@runtime_checkable
 class WholeWalks(Protocol):
     """A method that can also answer a request with all its steps at once, which a runner prefers to step by step."""
 

@@ -29,8 +29,14 @@ class PlannerMethod:
         self._plans = np.zeros((simulator.batch_size, simulator.world.rules.max_steps), np.int64)
         self._lengths = np.zeros(simulator.batch_size, np.int64)
         self.planner.prepare(simulator.world)
+        if self.planner.unproved is not None:
+            self.planner.unproved[:] = 0
         # A compiled planner compiles with its first call, be there nothing to plan.
         self.planner.plan_rows(simulator.world, self._rows[:0], self._plans, self._lengths)
+
+    def unproved(self) -> np.ndarray | None:
+        """See ``MayStop``."""
+        return self.planner.unproved
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """See ``Method``."""

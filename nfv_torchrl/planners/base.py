@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.search.cheapest import Scratch, make_scratch
+from nfv_torchrl.search.labels import NO_LIMIT
 from nfv_torchrl.search.walks import OVERFLOW
 from nfv_torchrl.simulator.compiled import kernel
 from nfv_torchrl.simulator.state import World
@@ -25,7 +27,14 @@ class Planner:
     (or millionths of the unit of a kind) and bit/s. Actions are those of ``nfv_torchrl.codec``.
 
     A planner is used by one thread at a time.
+
+    Attributes:
+        unproved: of a planner that may stop a search: how many requests of each environment it answered, since
+            somebody set the counts to zero, without knowing that the answer is the best one, int64 [B]. None: of any
+            other.
     """
+
+    unproved: np.ndarray | None = None
 
     def prepare(self, world: World) -> None:
         """Called before a run. Allocate memory here. Does nothing by default."""
@@ -128,3 +137,34 @@ class CompiledPlanner(Planner):
     def grow(self, tables: Tables) -> Any:
         """The same with more memory."""
         raise NotImplementedError
+
+
+class ExactPlanner(CompiledPlanner):
+    """A planner by the exact search, which may be given a limit on its work.
+
+    Args:
+        labels: walks ("labels") that the searches of one request may keep, in all; None: as many as there is memory
+            for. A request that needs more is answered by the walk of a narrow search, which extends only the cheapest
+            few walks to each node, or else by the greedy rule for free ends, or else it is rejected. Such an answer is
+            feasible but not proved optimal. Results count it as ``unproved``, unless it costs no more than the bound
+            that the search had reached. It stops before a walk is extended, so that it may use a few labels more.
+
+    Raises:
+        ScenarioError: labels < 1.
+    """
+
+    def __init__(self, labels: int | None) -> None:
+        super().__init__()
+        if labels is not None and labels < 1:
+            raise ScenarioError(f"labels is {labels}; give at least 1, or None for no limit")
+        self.labels = None if labels is None else int(labels)
+
+    def prepare(self, world: World) -> None:
+        """See ``CompiledPlanner``."""
+        if self.labels is not None and (self.unproved is None or self.unproved.size != world.env.size):
+            self.unproved, self._tables = np.zeros(world.env.size, np.int64), None
+        super().prepare(world)
+
+    def make_search(self, tables: Tables) -> Scratch:
+        """Scratch of the search on these tables."""
+        return make_scratch(tables, allowed=NO_LIMIT if self.labels is None else self.labels, unproved=self.unproved)

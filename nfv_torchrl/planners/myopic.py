@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from nfv_torchrl.planners.base import CompiledPlanner, over_rows
-from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.planners.base import ExactPlanner, over_rows
+from nfv_torchrl.search.cheapest import Scratch, grow_scratch, plan_cheapest
 from nfv_torchrl.search.walks import unit_costs
+from nfv_torchrl.settings.values import Count
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.tables import Tables
 
@@ -15,18 +16,29 @@ def plan_myopic(world, b, scratch, plan):
     return plan_cheapest(world, b, unit_costs(world, b), scratch, plan)
 
 
-class MyopicPlanner(CompiledPlanner):
+class MyopicPlanner(ExactPlanner):
     """Exact minimum of the utilisation cost (eq. main_problem of the paper) for one request in the present state.
 
     No method spends less on a request in the same state; that does not make it a ceiling on how many are accepted.
+    With ``labels`` both hold only for requests that stay below that limit.
+
+    Args:
+        labels: limit on the search for one request, see ``ExactPlanner``; what goes beyond it is not proved optimal,
+            and counted as ``unproved``. None: no limit.
+
+    Raises:
+        ScenarioError: labels < 1.
     """
 
     own: Scratch
     kernel = over_rows(plan_myopic)
 
+    def __init__(self, *, labels: Count | None = None) -> None:
+        super().__init__(labels)
+
     def make(self, tables: Tables) -> Scratch:
         """See ``CompiledPlanner``."""
-        return make_scratch(tables)
+        return self.make_search(tables)
 
     def grow(self, tables: Tables) -> Scratch:
         """See ``CompiledPlanner``."""

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.base import CompiledPlanner, over_rows
-from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.planners.base import ExactPlanner, over_rows
+from nfv_torchrl.search.cheapest import Scratch, grow_scratch, plan_cheapest
 from nfv_torchrl.search.walks import Prices
-from nfv_torchrl.settings.values import AboveOne, NotNegative
+from nfv_torchrl.settings.values import AboveOne, Count, NotNegative
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.tables import Tables
 
@@ -80,7 +80,7 @@ def plan_priced(world, b, scratch, plan):
     return steps
 
 
-class PricedPlanner(CompiledPlanner):
+class PricedPlanner(ExactPlanner):
     """The cheapest embedding at prices that rise with use. It can also refuse requests that are too dear.
 
     Args:
@@ -88,18 +88,25 @@ class PricedPlanner(CompiledPlanner):
         steepness: M, how late the price rises.
         admit_threshold: refuse a request whose priced cost ($) exceeds this; None never refuses. ``priced_admit``
             goes with ``price=1600, admit_threshold=16000``.
+        labels: limit on the search for one request, see ``ExactPlanner``; what goes beyond it is not proved the
+            cheapest at these prices, and counted as ``unproved``. None: no limit.
 
     Raises:
-        ScenarioError: price < 0, steepness <= 1 or a negative threshold.
+        ScenarioError: price < 0, steepness <= 1, a negative threshold or labels < 1.
     """
 
     own: PricedScratch
     kernel = over_rows(plan_priced)
 
     def __init__(
-        self, *, price: NotNegative = 3200.0, steepness: AboveOne = 3000.0, admit_threshold: NotNegative | None = None
+        self,
+        *,
+        price: NotNegative = 3200.0,
+        steepness: AboveOne = 3000.0,
+        admit_threshold: NotNegative | None = None,
+        labels: Count | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(labels)
         if not (price >= 0 and np.isfinite(price)):
             raise ScenarioError(f"price is {price}; give a finite number of $ that is not negative")
         if not (steepness > 1 and np.isfinite(steepness)):
@@ -111,7 +118,7 @@ class PricedPlanner(CompiledPlanner):
 
     def make(self, tables: Tables) -> PricedScratch:
         """See ``CompiledPlanner``."""
-        return PricedScratch(self.rule, make_scratch(tables))
+        return PricedScratch(self.rule, self.make_search(tables))
 
     def grow(self, tables: Tables) -> PricedScratch:
         """See ``CompiledPlanner``."""

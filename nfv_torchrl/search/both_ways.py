@@ -6,7 +6,8 @@ with a function, and what they took of critical links, that only on nodes where 
 Roberti and Mingozzi 2014). What the walks found do that they must not is remembered from then on. Rounds go from the
 ingress and from the egress in turn: what a round has found out of every node is a bound for the next one, which goes
 the other way. Forgetting only adds walks that are none, so a bound stays one, and the first walk from the ingress that
-breaks nothing is the cheapest.
+breaks nothing is the cheapest. After two rounds a narrow search finds a feasible walk, mostly a good one. Rounds then
+look only for cheaper ones, and if there is none, that is the answer.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from nfv_torchrl.search.labels import (
     FOUND,
     NONE,
+    UNFINISHED,
     Search,
     fill_tails,
     link_number,
@@ -25,19 +27,28 @@ from nfv_torchrl.search.labels import (
     search_labels,
     trace,
 )
+from nfv_torchrl.search.narrow import copy_walk, narrow_walk
+from nfv_torchrl.search.raising import ROUNDING, raise_bounds
 from nfv_torchrl.search.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go
-from nfv_torchrl.search.walks import OVERFLOW, PlannedWalk, Problem, make_walk
+from nfv_torchrl.search.walks import (
+    CUT_SHORT,
+    OVERFLOW,
+    PlannedWalk,
+    Prices,
+    Problem,
+    make_walk,
+    walk_totals,
+)
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.tables import Tables
-
-ROUNDING = 1e-9
-"""Share by which a bound is lowered, for sums that were made in another order."""
 
 BROKEN = 3
 """Outcome of a round: the walk found breaks something that was forgotten."""
 SHORT_ROUND = 4096
 """Labels after which a round ends unfinished, since the other way may be far shorter. Doubled where both are not."""
+SECOND = 2
+"""Round after which a narrow search (``narrow``) looks for a walk that the rounds must beat: most end before."""
 CLOSE = 0.01
 """Share by which other walks of a round may be dearer than the one found, for what they break to be remembered too."""
 
@@ -47,6 +58,7 @@ class BothWays(NamedTuple):
     """The request seen from its end, and bounds that rounds improve; one for each thread."""
 
     forth: np.ndarray  # float64 [F + 1, N], $: cost to go of walks from the ingress
+    most: np.ndarray  # float64 [F + 1, N], $, scratch
     barred: np.ndarray  # bool [F, N], functions that must not stand on a node
     cost: ToGo  # of walks from the egress
     delay: ToGo
@@ -58,6 +70,8 @@ class BothWays(NamedTuple):
     fixed_delay: np.ndarray
     neighbour_link: np.ndarray
     other: PlannedWalk
+    best: PlannedWalk  # the cheapest feasible walk known
+    known: np.ndarray  # int64 [1], its steps; 0: none is
 
 
 def make_both_ways(tables: Tables) -> BothWays:
@@ -66,6 +80,7 @@ def make_both_ways(tables: Tables) -> BothWays:
     barred = np.zeros((functions, nodes), np.bool_)
     return BothWays(
         forth=np.zeros((functions + 1, nodes)),
+        most=np.zeros((functions + 1, nodes)),
         barred=barred,
         cost=make_to_go(nodes, links, functions, barred),
         delay=make_to_go(nodes, links, functions, barred),
@@ -77,12 +92,26 @@ def make_both_ways(tables: Tables) -> BothWays:
         fixed_delay=np.zeros(tables.fixed_delay.shape[1:]),
         neighbour_link=np.zeros(tables.neighbour_link.shape[1:], tables.neighbour_link.dtype),
         other=make_walk((functions + 1) * (nodes + 1) + functions),
+        best=make_walk((functions + 1) * (nodes + 1) + functions),
+        known=np.zeros(1, np.int64),
     )
 
 
 @part
-def search_both_ways(search, back, walk, rounds):
-    """Steps of the cheapest walk on whose nodes no two functions meet, into ``walk``; 0: there is none, or OVERFLOW."""
+def search_both_ways(search, back, narrow, walk, rounds):
+    """Steps of the cheapest walk on whose nodes no two functions meet, into ``walk``; 0: there is none.
+
+    OVERFLOW if there is no room. CUT_SHORT if the request has used all its labels: ``back.best`` has the best walk
+    known then, of ``back.known`` steps.
+    """
+    limit = search.labels.limit[0]
+    steps = _search(search, back, narrow, walk, rounds)
+    search.labels.limit[0] = limit
+    return steps
+
+
+@part
+def _search(search, back, narrow, walk, rounds):
     problem, labels, critical = search.problem, search.labels, search.critical
     for i in range(problem.functions + 1):
         for node in range(problem.nodes):
@@ -93,17 +122,24 @@ def search_both_ways(search, back, walk, rounds):
     fill_delay_to_go(reverse, back.delay)
     other_way = Search(reverse, back.cost.value, back.delay.value, labels, critical, back.barred)
     labels.most[0] = SHORT_ROUND
+    back.known[0] = 0
     searches, fruitless = 0, 0
     while True:
         searches += 1
         from_ingress = searches % 2 == 1
         turn, bounds = (forth, back.cost.value) if from_ingress else (other_way, back.forth)
-        outcome, steps = _round(turn, bounds, back.other, walk)
+        outcome, steps = _round(turn, bounds, back, walk)
         if outcome == OVERFLOW:
             return OVERFLOW
+        if outcome == CUT_SHORT:
+            _look_narrowly(forth, back, narrow)
+            return CUT_SHORT
         if outcome == NONE or (outcome == FOUND and from_ingress):
             rounds[min(searches, 3)] += 1
-            return steps
+            # None is cheaper than the one known, if there is one.
+            return copy_walk(back.best, back.known[0], walk) if outcome == NONE else steps
+        if searches == SECOND:
+            _look_narrowly(forth, back, narrow)
         fruitless = 0 if outcome == BROKEN else fruitless + 1
         if fruitless == 2:
             labels.most[0] *= 2
@@ -111,7 +147,18 @@ def search_both_ways(search, back, walk, rounds):
 
 
 @part
-def _round(search, bounds, other, walk):
+def _look_narrowly(search, back, narrow):
+    """Look for a walk cheaper than the best one known; from then on labels are kept only of walks cheaper than it."""
+    problem = search.problem
+    steps = narrow_walk(search, narrow, back.other)
+    if steps > 0:
+        cost = walk_totals(problem, Prices(problem.vm_price, problem.link_price), back.other, steps)[0]
+        search.labels.limit[0] = min(search.labels.limit[0], cost * (1.0 - ROUNDING))
+        back.known[0] = copy_walk(back.other, steps, back.best)
+
+
+@part
+def _round(search, bounds, back, walk):
     """One label search, after which ``bounds`` of the other way are better. Returns (outcome, steps)."""
     problem, labels, critical = search.problem, search.labels, search.critical
     fill_tails(problem, critical)
@@ -121,10 +168,10 @@ def _round(search, bounds, other, walk):
         if outcome == OVERFLOW:
             return OVERFLOW, 0
         if outcome == 1:
-            _remember_others(problem, labels, other, critical)
+            _remember_others(problem, labels, back.other, critical)
             found = BROKEN
-    if found != OVERFLOW and found != NONE:
-        _learn(labels, problem, search.cost_to_go, bounds)
+    if found in (FOUND, BROKEN, UNFINISHED):
+        raise_bounds(labels, problem, search.cost_to_go, bounds, back.most)
     return found, steps
 
 
@@ -182,30 +229,6 @@ def _turn(problem, barred, back):
         problem.vm_price,
         problem.link_price,
     )
-
-
-@part
-def _learn(labels, problem, own, other):
-    """Raise the bounds ``other`` of walks from the other end by what the search for ``problem`` has found out.
-
-    From a node on the other search goes where this one came from. The cheapest way there that this search knows is a
-    bound, unless there is one that it has not looked at. That is part of a walk no cheaper than ``labels.found``, of
-    which what was still to come is at least ``own``.
-
-    Args:
-        labels: of the search, ended or left unfinished.
-        problem: what it searched for.
-        own: float64 [F + 1, N], $: the bounds that it used.
-        other: float64 [F + 1, N], $.
-    """
-    least = labels.found[0] * (1.0 - ROUNDING)
-    for placed in range(1, problem.functions + 1):
-        for node in range(problem.nodes):
-            known = min(labels.moved[placed, node] * (1.0 - ROUNDING), least - own[placed, node])
-            if own[placed, node] == np.inf:
-                known = np.inf
-            if known > other[problem.functions - placed, node]:
-                other[problem.functions - placed, node] = known
 
 
 @part

@@ -11,6 +11,7 @@ from nfv_torchrl.search.both_ways import BothWays, make_both_ways, remember, sea
 from nfv_torchrl.search.hosting import Hosting, make_hosting, match_hosts
 from nfv_torchrl.search.labels import (
     FOUND,
+    NO_LIMIT,
     Critical,
     Labels,
     Search,
@@ -20,8 +21,10 @@ from nfv_torchrl.search.labels import (
     make_labels,
     search_labels,
 )
+from nfv_torchrl.search.narrow import Narrow, copy_walk, make_narrow, narrow_walk
 from nfv_torchrl.search.togo import ToGo, best_start, fill_cost_to_go, fill_delay_to_go, make_to_go
 from nfv_torchrl.search.walks import (
+    CUT_SHORT,
     OVERFLOW,
     PlannedWalk,
     Prices,
@@ -32,7 +35,7 @@ from nfv_torchrl.search.walks import (
     unit_costs,
     walk_totals,
 )
-from nfv_torchrl.simulator.compiled import kernel, part
+from nfv_torchrl.simulator.compiled import inlined, kernel, part
 from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.tables import Tables
 
@@ -40,6 +43,8 @@ POOL = 4096
 COLUMNS = 8
 LARGEST = 4 << 30
 """Bytes that the labels of one search may take."""
+PROOF = 1e-9
+"""Share by which a walk may be dearer than a bound and yet be the cheapest, since sums were made in another order."""
 
 
 @by_reference
@@ -57,24 +62,37 @@ class Scratch(NamedTuple):
     link_price: np.ndarray  # float64 [L]
     result: np.ndarray  # float64 [3]: priced cost ($), true cost ($), delay (ms) of the last plan; inf if none
     rounds: np.ndarray  # int64 [4]: requests that needed no, one, two, more label searches
+    narrow: Narrow
+    unproved: np.ndarray  # int64 [B]: requests of each environment whose answer is not proved the best, since counted
+    cut: np.ndarray  # int64 [1]: 1 if the last answer is not
 
 
-def make_scratch(tables: Tables, pool: int = POOL, columns: int = COLUMNS) -> Scratch:
+def make_scratch(
+    tables: Tables,
+    pool: int = POOL,
+    columns: int = COLUMNS,
+    allowed: int = NO_LIMIT,
+    unproved: np.ndarray | None = None,
+) -> Scratch:
     """Scratch arrays for any network and service of ``tables``.
 
     Args:
         tables: the simulator's tables.
         pool: labels that a search may hold.
         columns: critical resources that a search may track.
+        allowed: labels that all searches of a request may use together.
+        unproved: int64 [B] that counts requests which used them up, for every environment; needed with ``allowed``.
     """
     _, nodes, vms, kinds = tables.vm_capacity.shape
     links = tables.link_capacity.shape[1]
     functions = tables.load.shape[1]
     hosting = make_hosting(nodes, functions)
+    labels = make_labels(nodes, functions, max(pool, 2 * vms + 2), columns)
+    labels.allowed[0] = allowed
     return Scratch(
         cost=make_to_go(nodes, links, functions, hosting.barred),
         delay=make_to_go(nodes, links, functions, hosting.barred),
-        labels=make_labels(nodes, functions, max(pool, 2 * vms + 2), columns),
+        labels=labels,
         critical=make_critical((nodes, vms, kinds), links, functions, columns),
         back=make_both_ways(tables),
         hosting=hosting,
@@ -84,6 +102,9 @@ def make_scratch(tables: Tables, pool: int = POOL, columns: int = COLUMNS) -> Sc
         link_price=np.zeros(links),
         result=np.full(3, np.inf),
         rounds=np.zeros(4, np.int64),
+        narrow=make_narrow(tables),
+        unproved=np.zeros(1, np.int64) if unproved is None else unproved,
+        cut=np.zeros(1, np.int64),
     )
 
 
@@ -102,9 +123,10 @@ def grow_scratch(tables: Tables, scratch: Scratch) -> Scratch:
     if size > LARGEST:
         raise ScenarioError(
             f"the exact search of a request needs more than {LARGEST >> 30} GB of memory, since very many walks are as "
-            "good as each other; use method=greedy here, or a smaller network or load"
+            "good as each other; give the planner a limit (+method.NAME.planner.labels=100000), or use method=greedy "
+            "here, or a smaller network or load"
         )
-    grown = make_scratch(tables, pool, columns)
+    grown = make_scratch(tables, pool, columns, int(scratch.labels.allowed[0]), scratch.unproved)
     grown.rounds[:] = scratch.rounds
     return grown
 
@@ -114,7 +136,8 @@ def plan_cheapest(world, b, prices, scratch, plan):
     """Find the walk of least priced cost among all that Algorithm 3 of the paper would accept.
 
     A walk may cross a link and use a VM several times as long as the sums fit what is offered. Exact: no feasible walk
-    is cheaper at the given prices (but for rounding).
+    is cheaper at the given prices (but for rounding). Only where the scratch allows a number of labels, and the request
+    has used them, it may be another walk, or none, and ``scratch.unproved`` counts it.
 
     Args:
         world: the simulator's ``World``; only read.
@@ -140,6 +163,8 @@ def plan_within(world, b, prices, limit, scratch, plan):
     scratch.result[:] = np.inf
     scratch.labels.limit[0] = limit
     steps = cheapest_walk(problem, scratch)
+    if steps != OVERFLOW:
+        scratch.unproved[b if scratch.cut[0] > 0 else 0] += scratch.cut[0]
     if steps <= 0:
         return steps
     encode_walk(scratch.walk, steps, problem.vm_offered.shape[1], plan)
@@ -157,7 +182,7 @@ def cheapest_walk(problem, scratch):
     before overused, until the walk found overuses none.
     """
     critical = scratch.critical
-    begin_request(problem, critical)
+    _begin(problem, scratch)
     if problem.distinct and not match_hosts(problem, scratch.hosting):
         return 0
     fill_cost_to_go(problem, scratch.cost)
@@ -188,7 +213,7 @@ def cheapest_walk_within(problem, scratch, cost_to_go, delay_to_go):
     """``cheapest_walk`` where bounds are known already: float64 [F + 1, N], $ and ms, never above what it takes."""
     if problem.ingress >= 0 and cost_to_go[0, problem.ingress] == np.inf:
         return 0
-    begin_request(problem, scratch.critical)
+    _begin(problem, scratch)
     if problem.distinct and not match_hosts(problem, scratch.hosting):
         return 0
     return _search_labels(
@@ -198,17 +223,44 @@ def cheapest_walk_within(problem, scratch, cost_to_go, delay_to_go):
     )
 
 
+@inlined
+def _begin(problem, scratch):
+    """Forget the request before."""
+    begin_request(problem, scratch.critical)
+    scratch.cut[0] = 0
+    scratch.labels.size[0] = 0
+    scratch.labels.spent[0] = 0
+
+
 @part
 def _search_labels(problem, scratch, search):
-    """Steps of the best walk by label searches, each with the resources that the walk before overused."""
+    """Steps of the best walk; with all labels used, of the best one known."""
+    if not problem.distinct:
+        steps = _search_in_rounds(problem, scratch, search)
+    else:
+        steps = search_both_ways(search, scratch.back, scratch.narrow, scratch.walk, scratch.rounds)
+    if steps != CUT_SHORT:
+        return steps
     if problem.distinct:
-        return search_both_ways(search, scratch.back, scratch.walk, scratch.rounds)
+        steps = copy_walk(scratch.back.best, scratch.back.known[0], scratch.walk)
+    else:
+        steps = narrow_walk(search, scratch.narrow, scratch.walk)
+    cost = walk_totals(problem, Prices(problem.vm_price, problem.link_price), scratch.walk, steps)[0]
+    # No walk is cheaper than the label that the search would have taken next.
+    if steps == 0 or cost > scratch.labels.found[0] * (1.0 + PROOF):
+        scratch.cut[0] = 1
+    return steps
+
+
+@part
+def _search_in_rounds(problem, scratch, search):
+    """Steps of the best walk by label searches, each with the resources that the walk before overused."""
     searches = 0
     while True:
         searches += 1
         found, steps = search_labels(search, scratch.walk)
-        if found == OVERFLOW:
-            return OVERFLOW
+        if found in (OVERFLOW, CUT_SHORT):
+            return found
         outcome = _track(problem, scratch, steps) if found == FOUND else 0
         if outcome == OVERFLOW:
             return OVERFLOW

@@ -16,6 +16,7 @@ import numpy as np
 
 from nfv_torchrl.codec import count_vms, split_vm, vm_resource
 from nfv_torchrl.search.walks import (
+    CUT_SHORT,
     OVERFLOW,
     Problem,
     ends_at,
@@ -36,6 +37,8 @@ from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 FOUND = 1
 NONE = 0
 UNFINISHED = 2
+NO_LIMIT = int(np.iinfo(np.int64).max)
+"""As many labels as there is memory for."""
 DEEPER_FIRST = 1e-12
 """Share of its bound by which a label goes earlier for every function that it has placed, with ``distinct``."""
 
@@ -76,7 +79,11 @@ class Labels(NamedTuple):
     size: np.ndarray  # int64 [2]: labels in the pool, labels in the heap
     limit: np.ndarray  # float64 [1], $: labels whose walks cost more are not kept; inf: all are
     most: np.ndarray  # int64 [1]: labels after which a search is left unfinished; with ``distinct`` only
-    found: np.ndarray  # float64 [1], $: what the walk found costs; of an unfinished search: at least
+    allowed: np.ndarray  # int64 [1]: labels that all searches of a request may use together
+    spent: np.ndarray  # int64 [1]: those that its searches before this one have used
+    width: np.ndarray  # int64 [1]: labels of one list that are extended, each held to all rules; 0: see ``narrow``
+    extended: np.ndarray  # int64 [F + 1, N], how many were; with a width only
+    found: np.ndarray  # float64 [1], $: what the walk found costs; of a search that was left before: at least
     moved: np.ndarray  # float64 [F + 1, N], $: least cost of a label that came by a hop and placed nothing with it
 
 
@@ -131,6 +138,10 @@ def make_labels(nodes: int, functions: int, pool: int, columns: int) -> Labels:
         size=np.zeros(2, np.int64),
         limit=np.full(1, np.inf),
         most=np.zeros(1, np.int64),
+        allowed=np.full(1, NO_LIMIT),
+        spent=np.zeros(1, np.int64),
+        width=np.zeros(1, np.int64),
+        extended=np.zeros((functions + 1, nodes), np.int64),
         found=np.zeros(1),
         moved=np.zeros((functions + 1, nodes)),
     )
@@ -236,9 +247,10 @@ def search_labels(search, walk):
 
     Returns:
         (FOUND, steps), (NONE, 0) if there is no such walk, (OVERFLOW, 0) if the pool is too small, (UNFINISHED, 0) with
-        ``distinct`` after ``labels.most``.
+        ``distinct`` after ``labels.most``, (CUT_SHORT, 0) if the request has used ``labels.allowed``.
     """
     problem, labels = search.problem, search.labels
+    labels.spent[0] += labels.size[0]
     labels.first[:] = -1
     labels.size[:] = 0
     if problem.distinct:
@@ -261,8 +273,11 @@ def search_labels(search, walk):
         if problem.distinct and labels.size[0] > labels.most[0]:
             labels.found[0] = labels.heap_key[0]
             return UNFINISHED, 0
+        if labels.spent[0] + labels.size[0] > labels.allowed[0]:
+            labels.found[0] = labels.heap_key[0]
+            return CUT_SHORT, 0
         label = _pop(labels)
-        if not labels.alive[label]:
+        if not labels.alive[label] or (labels.width[0] > 0 and not _in_width(labels, label)):
             continue
         if labels.placed[label] == problem.functions and ends_at(problem, labels.node[label]):
             labels.found[0] = labels.cost[label]
@@ -332,6 +347,9 @@ def _open(search, parent, node, link, vm):
     if vm >= 0:
         cost += place_cost(problem, node, vm, i)
         step_delay += place_delay(problem, node, vm, i)
+    # Before all checks: a walk that may not go on from here without a placement may do so with one.
+    if problem.distinct and (vm < 0 or placed == problem.functions) and cost < labels.moved[placed, node]:
+        labels.moved[placed, node] = cost
     delay = labels.delay[parent] + step_delay
     # The bound was summed in another order, so it gets the tolerance once more; the delay itself does not.
     if delay > problem.budget or delay + search.delay_to_go[placed, node] > problem.budget + DELAY_TOLERANCE:
@@ -341,6 +359,8 @@ def _open(search, parent, node, link, vm):
         return
     steps = labels.steps[parent] + 1
     if critical.tracked[1] > 0 and steps + problem.functions - placed > problem.max_steps:
+        return
+    if labels.width[0] > 0 and not _has_room(search, parent, node, link, vm):
         return
     label = labels.size[0]
     labels.cost[label] = cost
@@ -354,8 +374,6 @@ def _open(search, parent, node, link, vm):
         bound -= DEEPER_FIRST * placed * (bound + 1.0)
     if critical.tracked[0] > 0 and not _use(search, parent, label, node, link, vm):
         return
-    if problem.distinct and (vm < 0 or placed == problem.functions) and cost < labels.moved[placed, node]:
-        labels.moved[placed, node] = cost
     if not _keep(search, label, node):
         return
     _take(labels)
@@ -364,6 +382,40 @@ def _open(search, parent, node, link, vm):
     labels.link[label] = link
     labels.vm[label] = vm
     _list_and_open(labels, label, bound)
+
+
+@inlined
+def _in_width(labels, label):
+    """Count ``label`` among those of its list that are extended; False if there are enough of them."""
+    placed, node = labels.placed[label], labels.node[label]
+    labels.extended[placed, node] += 1
+    return labels.extended[placed, node] <= labels.width[0]
+
+
+@part
+def _has_room(search, parent, node, link, vm):
+    """Whether link and VM have room for one more step, beside all that the walk to ``parent`` takes of them."""
+    problem, labels = search.problem, search.labels
+    i = labels.placed[parent]
+    rates = problem.rate_units[i]
+    label = parent
+    while link >= 0 and labels.parent[label] >= 0:
+        before = labels.parent[label]
+        if labels.link[label] == link:
+            rates += problem.rate_units[labels.placed[before]]
+        label = before
+    if link >= 0 and not fits(problem.link_offered[link], rates):
+        return False
+    for kind in range(problem.kinds if vm >= 0 else 0):
+        load = problem.load_units[i, kind]
+        label = parent
+        while labels.parent[label] >= 0:
+            if labels.vm[label] == vm and labels.node[label] == node:
+                load += problem.load_units[labels.placed[label] - 1, kind]
+            label = labels.parent[label]
+        if not fits(problem.vm_offered[node, vm, kind], load):
+            return False
+    return True
 
 
 @inlined

@@ -14,6 +14,8 @@ from nfv_torchrl.simulator.tables import DELAY_TOLERANCE
 
 OVERFLOW = -1
 """What a search returns when its scratch arrays are too small: grow them and call again."""
+CUT_SHORT = -2
+"""What a search returns when the request has used all the labels that it may."""
 
 
 class Problem(NamedTuple):

@@ -397,6 +397,7 @@ class FieldSettings:
     checkpoints: tuple[str, ...] | None
     seeds: Count
     bounds: bool
+    labels: Count | None
     reference: str
     only: Overrides | None
     overrides: Overrides

@@ -18,6 +18,8 @@ TOLERANCE = 1e-7
 """Relative difference that a stated metric may have from the recomputed one."""
 SECONDS, SPEED = "decision_seconds", "decisions_per_second"
 """Wall times: the files cannot tell whether these are true, only whether they fit each other."""
+UNPROVED = "unproved"
+"""What the search knew, which decisions do not tell: only that there are as many."""
 
 
 class Decided(NamedTuple):
@@ -46,7 +48,7 @@ def recomputes(name: str) -> Callable[[Callable[[Decided], Value]], Callable[[De
 
 
 def is_measured(key: str) -> bool:
-    """Whether a metric is a wall time, which is taken as the run states it."""
+    """Whether a metric, such as a wall time, is known to the run alone, and taken as it states it."""
     found = find(key)
     return found is not None and found[0].measured
 
@@ -285,6 +287,9 @@ def compare(files: RunFiles, recomputed: dict[str, float | None]) -> None:
         elif not _agree(stated[key], value):
             problems.add(f"metrics.json: {key} is {stated[key]}, the decisions give {value}")
     _check_speed(files)
+    unproved: Any = stated.get(UNPROVED, 0)
+    if not is_number(unproved) or unproved != int(unproved) or not 0 <= unproved <= len(files.decisions):
+        problems.add(f"metrics.json: {UNPROVED} is {unproved}, not a number of the {len(files.decisions)} requests")
 
 
 def _check_speed(files: RunFiles) -> None:
