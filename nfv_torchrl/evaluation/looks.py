@@ -20,6 +20,8 @@ class Look(NamedTuple):
 _AGENT = Look("#0072B2", "o")
 LOOKS: dict[str, Look] = {
     "DQN-AR": _AGENT,
+    "DQN over plans": Look("#4B0082", "h"),
+    "DQN-AR with look-ahead": Look("#CC3311", "<"),
     "DQN-AR, default reward": _AGENT,
     "DQN-AR, paper's reward": Look("#8C564B", "*"),
     "greedy": Look("#D55E00", "s"),

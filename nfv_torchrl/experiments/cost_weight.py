@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, bound_rows, constant, gap_rows, method_row, paired_rows
-from nfv_torchrl.experiments.study import AGENT, Point, Study
+from nfv_torchrl.experiments.study import AGENT, Point, Runs, Study, cells_of
 from nfv_torchrl.experiments.sweeps import METRICS
 
 SERIES = {"default": "DQN-AR, default reward", "paper": "DQN-AR, paper's reward"}
@@ -26,8 +26,8 @@ class CostWeight:
     def cells(self, study: Study) -> list[Cell]:
         found: list[Cell] = []
         for world in self._worlds(study):
-            found += self._others(study, world).values()
-            found += self._agents(study, world).values()
+            found += cells_of(self._others(study, world))
+            found += cells_of(self._agents(study, world))
             found += [study.bound(world)] if self.metric == "aar" else []
         return found
 
@@ -37,14 +37,14 @@ class CostWeight:
         weights = study.budget["cost_weights"]
         for world in self._worlds(study):
             others = self._others(study, world)
-            for (reward, weight), cell in self._agents(study, world).items():
-                series, cells = SERIES[reward], {AGENT: cell, **others}
-                rows.append(method_row(store, cell, AGENT, weight, self.metric, world, series))
-                paired += paired_rows(store, cells, weight, world, study, series)
+            for (reward, weight), runs in self._agents(study, world).items():
+                series, methods = SERIES[reward], {AGENT: runs, **others}
+                rows.append(method_row(store, runs, AGENT, weight, self.metric, world, series))
+                paired += paired_rows(store, methods, weight, world, study, series)
                 if self.metric == "aar":
-                    paired += gap_rows(store, cells, study.bound(world), weight, world, series)
-            for name, cell in others.items():
-                rows += constant(method_row(store, cell, name, 0.0, self.metric, world), weights)
+                    paired += gap_rows(store, methods, study.bound(world), weight, world, series)
+            for name, runs in others.items():
+                rows += constant(method_row(store, runs, name, 0.0, self.metric, world), weights)
             if self.metric == "aar":
                 for row in bound_rows(store, study.bound(world), 0.0, world):
                     rows += constant(row, weights)
@@ -53,7 +53,7 @@ class CostWeight:
         figure = panel_figure(
             rows,
             title=f"{METRICS[self.metric]} over the cost weight, {where}, ρ = {study.rho(world):.2f}",
-            caption=study.about(),
+            caption=study.about([name for name in study.trained if not study.is_general(name)]),
             x_label="w_cost of the reward that DQN-AR is trained with",
             y_label=METRICS[self.metric],
         )
@@ -62,10 +62,12 @@ class CostWeight:
     def _worlds(self, study: Study) -> list[Point]:
         return [study.world(colocation=colocation) for colocation in study.colocations]
 
-    def _others(self, study: Study, world: Point) -> dict[str, Cell]:
-        return {name: cell for name, cell in study.evaluations(world).items() if name != AGENT}
+    def _others(self, study: Study, world: Point) -> dict[str, Runs]:
+        """But for agents that are trained once, since they know of no weight either and the figure is full."""
+        names = (name for name in study.methods(world) if name != AGENT and not study.is_general(name))
+        return {name: study.evaluation(name, world) for name in names}
 
-    def _agents(self, study: Study, world: Point) -> dict[tuple[str, float], Cell]:
+    def _agents(self, study: Study, world: Point) -> dict[tuple[str, float], Runs]:
         if AGENT not in study.methods(world):
             return {}
         return {

@@ -127,7 +127,7 @@ def place_rows(place: Place, store: CellStore, reference: str) -> Rows:
         if reference in results and name != reference:
             theirs = values(results[reference], "aar")
             differences = [np.subtract(values(results[key], "aar"), theirs) for key in keys]
-            costs = [cost_ratios(store, place.methods[key], place.methods[reference]) for key in keys]
+            costs = [cost_ratios(store, (place.methods[key],), (place.methods[reference],)) for key in keys]
             rows.append(result_row(about, name, "aar_difference", together(differences), reference))
             rows.append(result_row(about, name, "paired_cost", together(costs), reference))
     if place.bound is not None and store.has(place.bound):

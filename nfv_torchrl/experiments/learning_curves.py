@@ -8,7 +8,7 @@ from nfv_torchrl.evaluation.figures import tidy_row
 from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
-from nfv_torchrl.experiments.rows import Rows, setting
+from nfv_torchrl.experiments.rows import Rows, read_runs, setting
 from nfv_torchrl.experiments.study import AGENT, Point, Study
 from nfv_torchrl.experiments.sweeps import METRICS
 from nfv_torchrl.settings.values import list_of_seeds
@@ -28,7 +28,7 @@ class LearningCurves:
     def cells(self, study: Study) -> list[Cell]:
         runs = [study.training(AGENT, world, seed=seed) for world in self._worlds(study) for seed in self._seeds(study)]
         bounds = [self._bound(study, world) for world in self._worlds(study)] if self.metric == "aar" else []
-        return runs + [study.evaluation(AGENT, world) for world in self._worlds(study)] + bounds
+        return [*runs, *(cell for world in self._worlds(study) for cell in study.evaluation(AGENT, world)), *bounds]
 
     def _bound(self, study: Study, world: Point) -> Cell:
         """Of the held-out workloads on which training evaluates."""
@@ -45,7 +45,7 @@ class LearningCurves:
         figure = panel_figure(
             rows,
             title=f"{METRICS[self.metric]} of DQN-AR while it trains{self._where(study)}",
-            caption=f"{study.about()}\n{seeds} training seed{'s' if seeds > 1 else ''}. {notes}",
+            caption=f"{study.about([AGENT])}\n{seeds} training seed{'s' if seeds > 1 else ''}. {notes}",
             x_label="frames (decisions) of training",
             y_label=METRICS[self.metric],
         )
@@ -76,7 +76,7 @@ class LearningCurves:
         return f"N = {world['substrate']['nodes']}: {', '.join(told)}."
 
     def _frames_per_horizon(self, study: Study, store: CellStore, world: Point) -> float:
-        runs = store.read(study.evaluation(AGENT, world))["metrics"].values()
+        runs = read_runs(store, study.evaluation(AGENT, world))["metrics"].values()
         return sum(run["frames"] for run in runs) / len(runs)
 
     def _seeds(self, study: Study) -> list[int]:

@@ -35,7 +35,7 @@ class PresenceProbability:
         figure = panel_figure(
             rows,
             title="Users still present (1/e = 37 % after t = μ)",
-            caption=study.about(agents=False),
+            caption=study.about(agents=()),
             x_label="time since arrival t (s)",
             y_label="share of users still present",
             like={"exp(-t/μ)": "exp(-t/μ)"},

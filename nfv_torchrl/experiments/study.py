@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,19 @@ Point = dict[str, Any]
 """The keys of a scenario's yaml, all of them."""
 PLACES = {"nodes": ("substrate", "nodes")}
 """Where a changed value is, if not at the top."""
+Runs = tuple[Cell, ...]
+"""The cells that together hold a method on all workload seeds."""
 AGENT = "dqn_ar"
+"""The paper's agent, which learning curves and rewards are about."""
 HASTY = "quick"
 """The budget with which agents hardly learn."""
 SHORT = {"nodes": "N", "arrival_rate": "λ", "mean_lifetime": "μ"}
 NO_MATTER = ("scenario", "run_dir", "resume", "device", "logger", "saving")
+
+
+def cells_of(evaluations: Mapping[Any, Runs]) -> list[Cell]:
+    """All cells of some evaluations."""
+    return [cell for runs in evaluations.values() for cell in runs]
 
 
 class Study:
@@ -77,8 +85,13 @@ class Study:
         return self._rho[key]
 
     def methods(self, world: Point) -> list[str]:
-        """The methods compared on a scenario; trained ones only where the budget trains for it."""
-        return [*(self.trained if self._trains_for(world) else ()), *self.planners]
+        """The methods compared on a scenario; those trained for each scenario only where the budget trains for it."""
+        agents = [name for name in self.trained if self.is_general(name) or self._trains_for(world)]
+        return [*agents, *self.planners]
+
+    def is_general(self, name: str) -> bool:
+        """Whether a method is trained once, for all scenarios."""
+        return name in self.trained and self.trained[name].get("once") is not None
 
     def _trains_for(self, world: Point) -> bool:
         """Whether the colocation, and each value named in ``trained_points``, are of those that agents train for."""
@@ -88,13 +101,23 @@ class Study:
         points = self.budget["trained_points"]
         return all(points[key] is None or values[key] in points[key] for key in points)
 
-    def evaluations(self, world: Point) -> dict[str, Cell]:
+    def evaluations(self, world: Point) -> dict[str, Runs]:
         """An evaluation of every method on a scenario."""
         return {name: self.evaluation(name, world) for name in self.methods(world)}
 
-    def evaluation(self, name: str, world: Point, reward: Sequence[str] | None = None) -> Cell:
-        """A method on all seeds of a scenario; ``reward``: see ``training``."""
-        return self._run("evaluation", name, world, self.seeds, reward)
+    def evaluation(self, name: str, world: Point, reward: Sequence[str] | None = None) -> Runs:
+        """A method on all seeds of a scenario; ``reward``: see ``training``.
+
+        Of a method that is trained once, each training seed answers its share of the workload seeds, so that an
+        interval over these holds the differences between trainings, too.
+        """
+        if not self.is_general(name):
+            return (self._run("evaluation", name, world, self.seeds, reward),)
+        count = min(self.budget["training_seeds"], len(self.seeds))
+        return tuple(
+            self._run("evaluation", name, world, self.seeds[seed::count], reward, training_seed=seed)
+            for seed in range(count)
+        )
 
     def timing(self, name: str, world: Point) -> Cell:
         """A method's decision time, on scenarios cut short. A trained method has the policy of the whole horizon."""
@@ -117,7 +140,7 @@ class Study:
 
         Args:
             name: one of ``trained``.
-            world: the scenario.
+            world: the scenario; a method that is trained once has one of its own.
             reward: overrides of the recipe that say what is rewarded, for the agent; by default those of its default
                 reward.
             seed: of the training.
@@ -125,6 +148,9 @@ class Study:
         if name not in self.trained:
             raise ScenarioError(f"trained: has no {name!r}, which this figure shows; add it or ask for other figures")
         method = self.trained[name]
+        if self.is_general(name):
+            world = self.world(**method["once"])
+            self.rho(world)  # refuses what is no scenario
         overrides = [*method["overrides"], f"seed={seed}"]
         if name == AGENT:
             overrides += self.reward("default") if reward is None else reward
@@ -157,11 +183,11 @@ class Study:
             self._configs[name, overrides] = {key: config[key] for key in config if key not in NO_MATTER}
         return self._configs[name, overrides]
 
-    def about(self, agents: bool = True) -> str:
+    def about(self, agents: Collection[str] | None = None) -> str:
         """What every caption says: the effort behind the figure, and where agents are missing and why.
 
         Args:
-            agents: whether the figure shows trained methods.
+            agents: the trained methods that the figure shows, where there are any; null: all.
         """
         budget = self.budget
         seeds = f"{len(self.seeds)} workload seeds" if len(self.seeds) > 1 else "1 workload seed"
@@ -170,24 +196,39 @@ class Study:
             f"Budget {budget['name']}: {seeds} (bars and bands: 95 % intervals), scenario seed {self.base['seed']}, "
             f"T = {self.base['horizon']} s, lifetimes {seen}."
         ]
-        if not agents or not self.trained or not budget["trained_colocation"]:
+        wanted = self.trained if agents is None else agents
+        general = [name for name in wanted if self.is_general(name)]
+        each = [name for name in wanted if name in self.trained and name not in general] if self._trains() else []
+        if not general and not each:
             return " ".join(told)
         preview = (
             "PREVIEW: agents have hardly learnt; use budget=full to judge them.\n" if budget["name"] == HASTY else ""
         )
-        return preview + " ".join([*told, *self._about_agents()])
+        frames = ", ".join(f"{show(name)} {n:,}" for name, n in budget["frames"].items() if name in (*general, *each))
+        told += [f"Training frames: {frames}.", *self._about_general(general), *self._about_each(each)]
+        return preview + " ".join(told)
 
-    def _about_agents(self) -> list[str]:
-        budget = self.budget
-        frames = ", ".join(f"{show(name)} {n:,}" for name, n in budget["frames"].items() if name in self.trained)
-        told = [f"Training frames: {frames}."]
-        if self._mask is not None:
+    def _trains(self) -> bool:
+        return bool(self.budget["trained_colocation"])
+
+    def _about_general(self, names: Sequence[str]) -> list[str]:
+        if not names:
+            return []
+        count = min(self.budget["training_seeds"], len(self.seeds))
+        seeds = f"{count} training seeds, which share the workloads" if count > 1 else "1 training seed"
+        return [f"{_together(names)}: trained once, on random networks ({seeds})."]
+
+    def _about_each(self, names: Sequence[str]) -> list[str]:
+        budget, told = self.budget, []
+        if not names:
+            return []
+        if AGENT in names and self._mask is not None:
             told.append(f"{show(AGENT)} acts under the {self._mask} mask.")
         lacking = [f"{SHORT[key]} = {_listed(points)}" for key, points in budget["trained_points"].items() if points]
         if lacking:
-            told.append(f"To save time this budget trains agents only at {'; '.join(lacking)}.")
+            told.append(f"To save time this budget trains {_together(names)} only at {'; '.join(lacking)}.")
         if budget["trained_colocation"] == [False]:
-            told.append("Agents are trained for colocation off only.")
+            told.append(f"{_together(names)}: trained for each point, for colocation off only.")
         return told
 
     def _run(
@@ -198,6 +239,7 @@ class Study:
         seeds: Sequence[int],
         reward: Sequence[str] | None,
         trained_on: Point | None = None,
+        training_seed: int = 0,
     ) -> Cell:
         alone = kind == "timing"
         more = {"clock": "processor"} if alone else {}
@@ -205,18 +247,27 @@ class Study:
         if name in self.planners:
             spec = {"scenario": world, "seeds": list(seeds), "method": self.planners[name], "training": None, **more}
             return make_cell(kind, label, spec, alone=alone)
-        run = self.training(name, trained_on or world, reward)
+        run = self.training(name, trained_on or world, reward, training_seed)
         method = {**self.trained[name]["method"], "name": name}
         spec = {"scenario": world, "seeds": list(seeds), "method": method, "training": run.spec, **more}
         return make_cell(kind, label, spec, [run], alone=alone)
 
 
-LABELS = {"dqn_ar": "DQN-AR", "nfvdeep": "NFVdeep"}
+LABELS = {
+    "dqn_ar": "DQN-AR",
+    "nfvdeep": "NFVdeep",
+    "lookahead": "DQN-AR with look-ahead",
+    "plans": "DQN over plans",
+}
 
 
 def show(name: str) -> str:
     """What figures call a method."""
     return LABELS.get(name, name)
+
+
+def _together(names: Sequence[str]) -> str:
+    return " and ".join(map(show, names))
 
 
 def _listed(values: Sequence[float]) -> str:

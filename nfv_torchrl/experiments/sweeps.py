@@ -9,7 +9,7 @@ from typing import Any
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, bound_rows, gap_rows, method_row, paired_rows
-from nfv_torchrl.experiments.study import Point, Study
+from nfv_torchrl.experiments.study import Point, Study, cells_of
 
 METRICS = {"aar": "AAR", "anuc": "ANUC ($)"}
 
@@ -36,7 +36,7 @@ class Sweep:
         found: list[Cell] = []
         for colocation in study.colocations:
             for world in self._worlds(study, colocation).values():
-                found += study.evaluations(world).values()
+                found += cells_of(study.evaluations(world))
                 found += [study.bound(world)] if self.metric == "aar" else []
         return found
 
@@ -45,12 +45,12 @@ class Sweep:
         paired: Rows = []
         for colocation in study.colocations:
             for x, world in self._worlds(study, colocation).items():
-                cells = study.evaluations(world)
-                rows += [method_row(store, cell, name, x, self.metric, world) for name, cell in cells.items()]
-                paired += paired_rows(store, cells, x, world, study)
+                methods = study.evaluations(world)
+                rows += [method_row(store, runs, name, x, self.metric, world) for name, runs in methods.items()]
+                paired += paired_rows(store, methods, x, world, study)
                 if self.metric == "aar":
                     rows += bound_rows(store, study.bound(world), x, world)
-                    paired += gap_rows(store, cells, study.bound(world), x, world)
+                    paired += gap_rows(store, methods, study.bound(world), x, world)
         ticks = {x: f"{x:g}\nρ {study.rho(world):.2f}" for x, world in self._worlds(study, False).items()}
         figure = panel_figure(
             rows,

@@ -97,7 +97,7 @@ def _paired_rows(about: Mapping[str, Any], policies: Sequence[Cell], key: str, o
     """The policy against another method, on the same requests."""
     theirs = values(store.read(other), "aar")
     differences = [np.subtract(values(store.read(cell), "aar"), theirs) for cell in policies]
-    costs = [cost_ratios(store, cell, other) for cell in policies]
+    costs = [cost_ratios(store, (cell,), (other,)) for cell in policies]
     rows = [
         result_row(about, POLICY, "aar_difference", together(differences), key),
         result_row(about, POLICY, "paired_cost", together(costs), key),

@@ -10,8 +10,8 @@ from nfv_torchrl.evaluation.looks import looks
 from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, mathematics, set_caption, set_title
-from nfv_torchrl.experiments.rows import Rows, setting, values
-from nfv_torchrl.experiments.study import AGENT, Point, Study, show
+from nfv_torchrl.experiments.rows import Rows, keys, read_runs, setting, values
+from nfv_torchrl.experiments.study import AGENT, Point, Runs, Study, cells_of, show
 
 PANELS = {
     "mean_hops": "links used an accepted request",
@@ -25,24 +25,24 @@ class RewardAndWalkLength:
     """Bars: hops, the paper's reward and AAR of every reward of the config, and of planners for comparison."""
 
     def cells(self, study: Study) -> list[Cell]:
-        return list(self._runs(study).values())
+        return cells_of(self._runs(study))
 
     def draw(self, study: Study, store: CellStore) -> Drawn:
         world = self._world(study)
         rows: Rows = []
         for metric in PANELS:
-            for place, (name, cell) in enumerate(self._runs(study).items()):
-                result = store.read(cell)
-                more = {"metric": metric, **setting(world, result["rho"]), "cell": cell.key}
+            for place, (name, runs) in enumerate(self._runs(study).items()):
+                result = read_runs(store, runs)
+                more = {"metric": metric, **setting(world, result["rho"]), "cell": keys(runs)}
                 rows.append(tidy_row(name, place, mean_interval(values(result, metric)), **more))
         where = f"N = {world['substrate']['nodes']}, λ = {world['arrival_rate']:g}/s, μ = {world['mean_lifetime']:g} s"
         head = f"Reward and length of the walk, {where}, ρ = {study.rho(world):.2f}, colocation off"
-        return Drawn(_bars(rows, head, study.about()), rows)
+        return Drawn(_bars(rows, head, study.about([AGENT])), rows)
 
     def _world(self, study: Study) -> Point:
         return study.world(colocation=False)
 
-    def _runs(self, study: Study) -> dict[str, Cell]:
+    def _runs(self, study: Study) -> dict[str, Runs]:
         world = self._world(study)
         names = study.methods(world)
         runs = {show(name): study.evaluation(name, world) for name in REFERENCES if name in names}

@@ -459,6 +459,7 @@ class TrainedMethod:
     policy: str
     overrides: Overrides
     method: Annotated[Mapped, Target("path", "name", "scenario", partial=True)]
+    once: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)

@@ -129,16 +129,34 @@ def test_agents_only_at_some_points(tmp_path: Path):
     shown = FIGURES["aar_vs_nodes"].draw(made, store)
     assert {row["x"] for row in shown.rows if row["series"] == "NFVdeep"} == {10, 50}
     assert {row["x"] for row in shown.rows if row["series"] == "tabu"} == {10, 20, 50}
-    assert "trains agents only at N = 10, 50" in words(shown.figure)
-    assert len([cell for cell in FIGURES["aar_vs_nodes"].cells(made) if cell.kind == "evaluation"]) == 3 * 5 * 2 + 4
+    assert "trains DQN-AR and NFVdeep only at N = 10, 50" in words(shown.figure)
+    evaluations = [cell for cell in FIGURES["aar_vs_nodes"].cells(made) if cell.kind == "evaluation"]
+    assert len(evaluations) == 3 * 7 * 2 + 4  # two agents are trained at two points, colocation off
+
+
+def test_agents_trained_once_share_the_workloads(tmp_path: Path):
+    """Of five workloads and two training seeds, the first weights answer 0, 2, 4 and the second 1, 3; everywhere."""
+    made = study("budget.training_seeds=2", "budget.seeds=5", "budget.nodes=[10,20]")
+    store = CellStore(tmp_path, ROOT / "recipes")
+    fill("aar_vs_nodes", made, store)
+    shown = FIGURES["aar_vs_nodes"].draw(made, store)
+    runs = [made.evaluation("plans", made.world(nodes=nodes)) for nodes in (10, 20)]
+    assert [[cell.spec["seeds"] for cell in each] for each in runs] == [[[0, 2, 4], [1, 3]]] * 2
+    assert runs[0][0].needs == runs[1][0].needs and runs[0][0].needs != runs[0][1].needs
+    assert runs[0][0].needs[0].spec["scenario"]["arrival_rate"] == 25  # its own scenario
+    rows = [row for row in shown.rows if row["series"] == "DQN over plans"]
+    assert {(row["n"], row["x"]) for row in rows} == {(5, 10), (5, 20)}
+    assert all(row["mean"] == pytest.approx(0.7 + 0.002) for row in rows)  # of all five
+    assert {row["reference"] for row in shown.paired if row["series"] == "DQN over plans"} >= {"DQN-AR", "greedy"}
+    assert "trained once, on random networks (2 training seeds, which share the workloads)" in words(shown.figure)
 
 
 def test_without_agents_the_caption_says_nothing_of_training(tmp_path: Path):
     """Planners alone: `trained_colocation=[]`; the bars of the walk's length then compare rules."""
-    overrides = ["budget=afternoon", "budget.trained_colocation=[]", "method=[random_feasible,greedy,myopic_optimal]"]
+    overrides = ["budget=full", "budget.trained_colocation=[]", "method=[random_feasible,greedy,myopic_optimal]"]
     made, store = study(*overrides), CellStore(tmp_path, ROOT / "recipes")
     fill("reward_and_walk_length", made, store)
     shown = FIGURES["reward_and_walk_length"].draw(made, store)
     assert [row["series"] for row in shown.rows[:3]] == ["random_feasible", "greedy", "myopic_optimal"]
     said = words(shown.figure)
-    assert "Budget afternoon: 3 workload seeds" in said and "T = 1000 s" in said and "rain" not in said
+    assert "Budget full: 10 workload seeds" in said and "T = 1000 s" in said and "rain" not in said
