@@ -49,12 +49,14 @@ def _together(adapter: Callable[[Any], Any], batch: int, scenario: Scenario) -> 
 def _speeds(config: dict[str, Any], make: Callable[[], Any], batch: int) -> dict[str, float]:
     """Frames per second of processor time: of rollouts alone, and of ``learn`` with each size of minibatch."""
     from sb3_contrib import MaskablePPO
+    from stable_baselines3.common.logger import Logger
 
     steps = max(min(FRAMES, config["frames"]) // batch, 2)
     row: dict[str, float] = {}
     for size in MINIBATCHES:
         envs = make()
         model = MaskablePPO("MlpPolicy", envs, n_steps=steps, batch_size=size, device="cpu", seed=0)
+        model.set_logger(Logger(None, []))  # its own one leaves a folder in /tmp
         frames = steps * batch
         _, callback = model._setup_learn(frames)
 

@@ -34,6 +34,7 @@ def train_maskable_ppo(cell: Cell, store: CellStore) -> dict[str, Any]:
     there are ``evaluations`` of them, after one of the untrained policy. Needs the extra ``sb3``.
     """
     from sb3_contrib import MaskablePPO
+    from stable_baselines3.common.logger import Logger
 
     from nfv_torchrl.gym.sb3 import SB3VecEnv
 
@@ -49,6 +50,7 @@ def train_maskable_ppo(cell: Cell, store: CellStore) -> dict[str, Any]:
         seed=spec["seed"],
         device="cpu",
     )
+    model.set_logger(Logger(None, []))  # its own one leaves a folder in /tmp
     rollout = settings["steps"] * settings["num_envs"]
     rollouts, count = math.ceil(settings["frames"] / rollout), settings["evaluations"]
     clock, points, done = TrainingClock(), [], 0

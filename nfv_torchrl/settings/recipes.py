@@ -349,10 +349,6 @@ class EvaluateSettings:
 
     def __post_init__(self) -> None:
         check_checkpoint(self.checkpoint, self.method)
-        if self.checkpoint is not None and "checkpoint" not in self.method:
-            raise ScenarioError(
-                f"checkpoint: {self.checkpoint} would not be read; add it to the methods: method=[greedy,checkpoint]"
-            )
 
 
 @dataclass(frozen=True)
@@ -371,6 +367,9 @@ class TransferSettings:
     bounds: bool
     parallel: Parallel
     output: str
+
+    def __post_init__(self) -> None:
+        check_is_read(self.checkpoints or self.checkpoint, self.method)
 
 
 @dataclass(frozen=True)
@@ -403,6 +402,9 @@ class FieldSettings:
     overrides: Overrides
     freeze: str | None
     output: str
+
+    def __post_init__(self) -> None:
+        check_is_read(self.checkpoints or self.checkpoint, self.method)
 
 
 @dataclass(frozen=True)
@@ -664,13 +666,25 @@ def check_recipe(name: str, overrides: Sequence[str], recipes: Path) -> None:
 
 
 def check_checkpoint(checkpoint: str | None, method: Mapping[str, Any]) -> None:
-    """``method=checkpoint`` needs ``checkpoint=PATH``.
+    """``method=checkpoint`` needs ``checkpoint=PATH``, and the other way round.
 
     Raises:
-        ScenarioError: it is null.
+        ScenarioError: one is there without the other.
     """
     if checkpoint is None and "checkpoint" in method:
         raise ScenarioError("checkpoint: is null; method=checkpoint needs a file, such as checkpoint=runs/dqn/best.pt")
+    check_is_read(checkpoint, method)
+
+
+def check_is_read(checkpoint: str | Sequence[str] | None, method: Mapping[str, Any]) -> None:
+    """``checkpoint=PATH``, or ``checkpoints=[...]``, needs ``method=checkpoint``.
+
+    Raises:
+        ScenarioError: no method would read the files.
+    """
+    if checkpoint is not None and "checkpoint" not in method:
+        named = checkpoint if isinstance(checkpoint, str) else ", ".join(checkpoint)
+        raise ScenarioError(f"checkpoint: {named} would not be read; add it to the methods: method=[greedy,checkpoint]")
 
 
 def check_segment(segment: int | None, stagger: bool) -> None:

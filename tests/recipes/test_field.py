@@ -45,3 +45,13 @@ def test_a_policy_that_is_not_there_is_refused_before_anything_is_written(named,
         call("field", "set=traffic", "only=[abilene]", "method=[greedy,checkpoint]", *named, f"output={output}")
     assert "is no file; name one" in capsys.readouterr().err
     assert not output.exists()
+
+
+@pytest.mark.parametrize("named", ["checkpoint=mine.pt", "checkpoints=[mine.pt,other.pt]"])
+@pytest.mark.parametrize("recipe", ["field", "transfer"])
+def test_a_policy_that_no_method_reads_is_refused(recipe, named, tmp_path, capsys):
+    extra = ["set=traffic"] if recipe == "field" else []
+    with pytest.raises(SystemExit):
+        call(recipe, *extra, "method=[greedy,myopic_optimal]", named, f"output={tmp_path / 'out'}")
+    assert "mine.pt" in (said := capsys.readouterr().err) and "would not be read" in said
+    assert not (tmp_path / "out").exists()
