@@ -293,8 +293,7 @@ def test_stable_baselines_sees_what_it_makes_of_single_ones():
         SB3VecEnv(gymnasium.make_vec(ENV_ID, scenario=SHORT, vectorization_mode="sync"))
 
 
-def test_maskable_ppo_learns(tmp_path, monkeypatch):
-    monkeypatch.setenv("SB3_LOGDIR", str(tmp_path))
+def test_maskable_ppo_learns():
     envs = VecMonitor(SB3VecEnv(gymnasium.make_vec(ENV_ID, num_envs=8, scenario=SHORT, render_mode="rgb_array")))
     model = MaskablePPO("MlpPolicy", envs, n_steps=32, batch_size=64, n_epochs=2, seed=0, device="cpu")
     before = [weight.clone() for weight in model.policy.parameters()]
