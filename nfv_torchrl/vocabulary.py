@@ -209,6 +209,9 @@ for _row in (
     # More of a run, for figures.
     Quantity("mean_steps", "steps", "steps of an accepted request's walk, mean", _FIGURES),
     Quantity("paper_reward", "", "the paper's reward, both weights 1, for an accepted request, mean", _FIGURES),
+    Quantity("turned_away/SERVICE", SHARE,
+             "requests of one service that were rejected although the exact search had a walk for them / arrived",
+             _FIGURES, "turned away ", "percent"),
     Quantity("frames", "", "decisions of the whole horizon", _FIGURES),
     Quantity("aar_share", SHARE, "`aar` over that of `myopic_optimal` on the same requests", _FIGURES),
     Quantity("aar_share_untrained", SHARE, "the same before the training", _FIGURES),

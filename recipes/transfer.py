@@ -27,7 +27,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.figures import csv_text
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.computing import compute_shown
-from nfv_torchrl.experiments.transfer import network_rows, policy_files, transfer_tables, with_policies
+from nfv_torchrl.experiments.transfer import is_policy, network_rows, policy_files, transfer_tables, with_policies
 from nfv_torchrl.files import write_atomically
 from nfv_torchrl.folders import claim
 from nfv_torchrl.settings.recipes import TransferSettings, read_settings
@@ -100,12 +100,11 @@ def read_scenario(name: str, overrides: Sequence[str]) -> dict[str, Any]:
 
 def evaluations(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) -> dict[str, Cell]:
     """Every method on one network, the policy last."""
-    return {
-        key: make_cell(
-            "evaluation", f"{name}-{key}", {"scenario": world, "method": method, "training": None, **seeds_of(config)}
-        )
-        for key, method in config["method"].items()
-    }
+    found = {}
+    for key, method in config["method"].items():
+        spec = {"scenario": world, "method": method, "training": None, **seeds_of(config)}
+        found[key] = make_cell("evaluation", f"{name}-{key}", spec | ({"turned_away": True} if is_policy(key) else {}))
+    return found
 
 
 def bound(config: Mapping[str, Any], name: str, world: Mapping[str, Any]) -> Cell:

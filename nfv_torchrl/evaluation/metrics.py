@@ -106,8 +106,7 @@ def rejected(record: RunRecord) -> dict[str, float]:
 
 @metric(TABLE["refused/SERVICE"])
 def refused_by_service(record: RunRecord) -> dict[str, float]:
-    chosen = record.reason == Reason.REJECTED_BY_POLICY
-    return {name: _share(chosen & counted(record) & mine, counted(record) & mine) for name, mine in _services(record)}
+    return service_shares(record, record.reason == Reason.REJECTED_BY_POLICY)
 
 
 @metric(TABLE["mean_hops"])
@@ -218,6 +217,12 @@ def counted(record: RunRecord) -> np.ndarray:
 def accepted(record: RunRecord) -> np.ndarray:
     """Those of them that were accepted, bool [R]."""
     return record.accepted & counted(record)
+
+
+def service_shares(record: RunRecord, chosen: np.ndarray) -> dict[str, float]:
+    """Share of the requests ``chosen``, bool [R], among those of each service that count; NaN where there are none."""
+    came = counted(record)
+    return {name: _share(chosen & came & mine, came & mine) for name, mine in _services(record)}
 
 
 def counted_cost(record: RunRecord) -> np.ndarray:

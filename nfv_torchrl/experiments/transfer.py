@@ -20,7 +20,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.vocabulary import TABLE
 
 POLICY = "checkpoint"
-OF_SERVICES = ("aar/SERVICE", "refused/SERVICE")
+OF_SERVICES = ("aar/SERVICE", "turned_away/SERVICE")
 """What is told for each service, of the policy."""
 Rows = list[dict[str, Any]]
 
@@ -128,8 +128,13 @@ def transfer_tables(rows: Rows, methods: Sequence[str], about: str) -> list[Tabl
     ]
     by = {"network": "", "nodes": "", "rho": ".2f"}
     parts = dict.fromkeys(row["metric"] for row in rows if "/" in row["metric"])
-    of_services = [Column(metric, ".4f", POLICY, title=metric.replace("/", " ")) for metric in sorted(parts)]
+    of_services = [Column(metric, ".4f", POLICY, title=re.sub("[_/]", " ", metric)) for metric in sorted(parts)]
     return [
         pivot(f"One policy on every network: {about}", rows, by, columns),
-        pivot("The policy by service: AAR, and the share that it refused itself", rows, {"network": ""}, of_services),
+        pivot(
+            "The policy by service: AAR, and the share rejected although there was a walk",
+            rows,
+            {"network": ""},
+            of_services,
+        ),
     ]

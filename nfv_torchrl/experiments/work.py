@@ -17,6 +17,7 @@ from nfv_torchrl.evaluation.bounds import aar_bounds
 from nfv_torchrl.evaluation.metrics import accepted, compute_metrics, counted_cost
 from nfv_torchrl.evaluation.records import RunRecord, write_run
 from nfv_torchrl.evaluation.runner import run_method
+from nfv_torchrl.evaluation.turned_away import shares_turned_away
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.gym_training import train_maskable_ppo
 from nfv_torchrl.experiments.training import drop_checkpoints, run_folder, train
@@ -50,7 +51,8 @@ def evaluate(cell: Cell, store: CellStore) -> Result:
 
     With ``scenario_seeds`` in the spec, as many, each seed's network is that of its scenario seed.
     Beside them: ``mean_steps`` of accepted requests, ``paper_reward``, what eq. reward_f with both weights 1 pays in
-    all for an accepted request, and ``frames``, the decisions of the whole horizon.
+    all for an accepted request, ``frames``, the decisions of the whole horizon, and with ``turned_away`` in the spec
+    ``turned_away/SERVICE``.
 
     Raises:
         AuditError: the audit found something.
@@ -61,7 +63,8 @@ def evaluate(cell: Cell, store: CellStore) -> Result:
     metrics = {}
     for record in records:
         frames = int(record.step_offsets[-1])
-        metrics[str(record.workload_seed)] = {**_audited(record), **_walks(record), "frames": frames}
+        run = {**_audited(record), **_walks(record), "frames": frames}
+        metrics[str(record.workload_seed)] = run | (shares_turned_away(record) if spec.get("turned_away") else {})
     _write_costs(store.path(cell).with_suffix(".npz"), records)
     return {"rho": fmean(scenario.offered_load() for scenario in scenarios), "metrics": metrics}
 

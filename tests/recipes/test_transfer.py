@@ -44,9 +44,13 @@ def rows_of(folder):
 
 
 def metrics_of(aar):
-    """What is read of an evaluation: services accepted alike, of which the policy itself refused a hundredth."""
+    """What is read of an evaluation: services accepted alike, of which a hundredth was turned away."""
     services = ("web", "voip", "video")
-    return {"aar": aar, **{f"aar/{name}": aar for name in services}, **{f"refused/{name}": 0.01 for name in services}}
+    return {
+        "aar": aar,
+        **{f"aar/{name}": aar for name in services},
+        **{f"turned_away/{name}": 0.01 for name in services},
+    }
 
 
 def pretending(aar):
@@ -110,7 +114,7 @@ def test_policies_of_several_training_seeds_are_one_method(tmp_path, policy, mon
     assert float(paired["ci_high"]) == pytest.approx(0.03 + 12.7062 * 0.02)
     assert float(found["paper", "aar_difference_lowest", "greedy"]["mean"]) == pytest.approx(0.02)
     assert float(found["paper", "paired_cost", "greedy"]["mean"]) == pytest.approx(1.25)
-    assert float(found["paper", "refused/voip", "checkpoint"]["mean"]) == pytest.approx(0.01)
+    assert float(found["paper", "turned_away/voip", "checkpoint"]["mean"]) == pytest.approx(0.01)
     assert "2 training seeds, 2 workload seeds" in (tmp_path / "out" / "transfer.md").read_text()
 
 
