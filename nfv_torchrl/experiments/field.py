@@ -22,6 +22,7 @@ from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.drawing import panel_figure
 from nfv_torchrl.experiments.rows import cost_ratios, together, values
 from nfv_torchrl.experiments.transfer import POLICY, is_policy
+from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.cli import recipe_configs
 
 MEASURES = {
@@ -67,13 +68,20 @@ def places_of(config: Mapping[str, Any], recipes: Path) -> list[Place]:
     wanted = config["only"] or list(config["places"])
     if unknown := [name for name in wanted if name not in config["places"]]:
         raise ScenarioError(f"only: there is no {unknown[0]!r}; places: {', '.join(config['places'])}")
-    return [_place(config, recipes, name, load) for name in wanted for load in config["places"][name]["loads"]]
+    return [
+        _place(config, recipes, name, load, check=number == 0)
+        for name in wanted
+        for number, load in enumerate(config["places"][name]["loads"])
+    ]
 
 
-def _place(config: Mapping[str, Any], recipes: Path, name: str, load: float) -> Place:
+def _place(config: Mapping[str, Any], recipes: Path, name: str, load: float, check: bool) -> Place:
+    """``check``: whether to read the scenario's files now, so that what cannot be read is said before any work."""
     overrides = [*config["common"], *config["places"][name]["overrides"], *config["overrides"]]
     at_load = [text.replace("LOAD", f"{load:g}") for text in overrides]
     scenario = scenario_config(recipes, f"places.{name}", at_load)
+    if check:
+        _read(scenario, f"places.{name}")
     seeds = list(range(config["seeds"]))
     common = {"scenario": scenario, "seeds": seeds} | ({"scenario_seeds": seeds} if config["draws"] else {})
     where = f"{name}-{load:g}"
@@ -83,6 +91,13 @@ def _place(config: Mapping[str, Any], recipes: Path, name: str, load: float) -> 
         for key, method in entries.items()
     }
     return Place(name, load, methods, make_cell("bound", f"{where}-bound", common) if config["bounds"] else None)
+
+
+def _read(scenario: Mapping[str, Any], name: str) -> None:
+    try:
+        Scenario.from_config(scenario)
+    except ScenarioError as error:
+        raise ScenarioError(f"{name}: {error}") from error
 
 
 def limited(method: Mapping[str, Any], labels: int | None) -> Mapping[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import lru_cache
 from pathlib import Path
 
 from nfv_torchrl.errors import ScenarioError
@@ -38,10 +39,16 @@ def read_demand_series(folder: str | os.PathLike[str]) -> list[DemandMatrix]:
     paths = sorted(path for path in Path(folder).iterdir() if path.suffix.lower() in SERIES)
     if not paths:
         raise ScenarioError(f"{folder}: holds no files ending in {', '.join(SERIES)}")
+    return list(_read_series(tuple(paths), tuple((path.stat().st_mtime_ns, path.stat().st_size) for path in paths)))
+
+
+@lru_cache(maxsize=4)
+def _read_series(paths: tuple[Path, ...], stamps: tuple[tuple[int, int], ...]) -> tuple[DemandMatrix, ...]:
+    """Kept, since a week of them takes seconds to read and every seed asks for it; ``stamps``: sizes and times."""
     series = [read_demands(path) for path in paths]
     for matrix in series[1:]:
         if (matrix.names, matrix.unit) != (series[0].names, series[0].unit):
             raise ScenarioError(
                 f"{matrix.source}: has other nodes or another unit than {series[0].source}; keep one kind"
             )
-    return sorted(series, key=lambda matrix: matrix.time)
+    return tuple(sorted(series, key=lambda matrix: matrix.time))

@@ -84,8 +84,10 @@ def read_traffic(path: str | os.PathLike[str], substrate: Substrate, interval: f
     Raises:
         ScenarioError: it cannot be used; the message names the file.
     """
-    folder = Path(path)
-    series = read_demand_series(folder) if folder.is_dir() else [read_demands(path)]
+    try:
+        series = read_demand_series(path) if Path(path).is_dir() else [read_demands(path)]
+    except ScenarioError as error:
+        raise ScenarioError(f"arrivals.path: {str(error).removeprefix('substrate.path: ')}") from error
     return Traffic(series, substrate, interval)
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeVar
 
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from omegaconf.errors import InterpolationToMissingValueError, MissingMandatoryValue, OmegaConfBaseException
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.config import parse_config
@@ -397,6 +397,7 @@ class FieldSettings:
     seeds: Count
     bounds: bool
     labels: Count | None
+    data: str | None
     reference: str
     only: Overrides | None
     overrides: Overrides
@@ -703,6 +704,9 @@ def _plain(config: DictConfig) -> Mapping[str, Any]:
         return OmegaConf.to_container(config, resolve=True, throw_on_missing=True)  # type: ignore[return-value]
     except MissingMandatoryValue as error:
         raise ScenarioError(f"{error.full_key}: is missing; set it") from error
+    except InterpolationToMissingValueError as error:
+        name = str(error).splitlines()[0].rpartition(": ")[2]
+        raise ScenarioError(f"{name}: is missing; set it ({error.full_key} needs it)") from error
     except OmegaConfBaseException as error:
         why = str(error).splitlines()[0]
         raise ScenarioError(f"{error.full_key or 'the settings'}: {why}; check what is between the braces") from error

@@ -8,6 +8,8 @@ import json
 import pytest
 from inprocess import call
 
+from nfv_torchrl.scenario.scenario import Scenario
+
 pytest.importorskip("topohub", reason="the networks of set=traffic are TopoHub's")
 
 
@@ -36,6 +38,60 @@ def test_it_compares_pairs_and_freezes(tmp_path, capsys):
     assert runs["abilene-2-seed_1"]["rows"]["greedy"]["aar"] <= 1
     mean = sum(run["rows"]["greedy"]["aar"] for run in runs.values()) / 2
     assert mean == pytest.approx(aar["greedy"])
+
+
+MATRIX = """<?xml version="1.0"?>
+<network xmlns="http://sndlib.zib.de/network" version="1.0">
+ <meta><time>20040301-{time}</time><unit>MBITPERSEC</unit></meta>
+ <networkStructure><nodes>{nodes}</nodes></networkStructure>
+ <demands>
+  <demand id="d"><source>{source}</source><target>{target}</target><demandValue>{value}</demandValue></demand>
+ </demands>
+</network>
+"""
+
+
+def matrices(folder, *demands):
+    """A folder of SNDlib's demand matrices, five minutes apart, with one demand each."""
+    folder.mkdir(parents=True)
+    places = ["ATLAng", "CHINng", "NYCMng"]
+    nodes = "".join(
+        f'<node id="{name}"><coordinates><x>0</x><y>{place}</y></coordinates></node>'
+        for place, name in enumerate(places)
+    )
+    for number, (source, target, value) in enumerate(demands):
+        text = MATRIX.format(time=f"00{5 * number:02}", nodes=nodes, source=source, target=target, value=value)
+        (folder / f"demandMatrix-{number}.xml").write_text(text)
+
+
+def test_measured_demands_from_a_folder(tmp_path, capsys):
+    """Two matrices, each held for five slots: who talks to whom changes with them."""
+    matrices(tmp_path / "abilene", ("ATLAng", "CHINng", 1.0), ("CHINng", "NYCMng", 3.0))
+    output, manifest = tmp_path / "out", tmp_path / "week.json"
+    call(
+        "field", "set=week", f"data={tmp_path}", "only=[abilene]", "seeds=1", "method=[greedy]", "reference=greedy",
+        "places.abilene.loads=[1]", "parallel.jobs=1", "bounds=false", f"output={output}", f"freeze={manifest}",
+        "overrides=['scenario.horizon=10','scenario.arrivals.interval=5']",
+    )  # fmt: skip
+    (run,) = json.loads(manifest.read_text())["runs"].values()
+    scenario = Scenario.from_config(run["scenario"])
+    workload, names = scenario.workload(0), scenario.substrate.labels
+    ends = set(zip((workload.slot // 5).tolist(), workload.ingress.tolist(), workload.egress.tolist(), strict=True))
+    ends = {(half, names[ingress], names[egress]) for half, ingress, egress in ends}
+    assert ends == {(0, "ATLAng", "CHINng"), (1, "CHINng", "NYCMng")}
+    assert 2 < (workload.slot >= 5).sum() / (workload.slot < 5).sum() < 4.5
+    assert "abilene, 1 rho: greedy" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [([], "data: is missing"), (["data=nowhere"], "places.abilene: arrivals.path: 'nowhere/abilene'")],
+)
+def test_demands_that_are_not_there_are_said_before_any_work(given, said, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        call("field", "set=week", *given, f"output={tmp_path / 'out'}")
+    assert (error := capsys.readouterr().err).count(said) == 1 and error.count("error") == 1
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("named", [[], ["checkpoint=nowhere.pt"], ["checkpoints=[nowhere.pt,nor_there.pt]"]])
