@@ -149,8 +149,7 @@ class Study:
             raise ScenarioError(f"trained: has no {name!r}, which this figure shows; add it or ask for other figures")
         method = self.trained[name]
         if self.is_general(name):
-            world = self.world(**method["once"])
-            self.rho(world)  # refuses what is no scenario
+            world = self.world(**{key: value for key, value in method["once"].items() if value is not None})
         overrides = [*method["overrides"], f"seed={seed}"]
         if name == AGENT:
             overrides += self.reward("default") if reward is None else reward

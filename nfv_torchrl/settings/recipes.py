@@ -455,6 +455,14 @@ class Budget:
 
 
 @dataclass(frozen=True)
+class Once:
+    """What the scenario of the one training has of its own; null: that of the figures."""
+
+    arrival_rate: Positive | None = None
+    mean_lifetime: Positive | None = None
+
+
+@dataclass(frozen=True)
 class TrainedMethod:
     """A method of the figures that is trained first."""
 
@@ -462,7 +470,7 @@ class TrainedMethod:
     policy: str
     overrides: Overrides
     method: Annotated[Mapped, Target("path", "name", "scenario", partial=True)]
-    once: dict[str, Any] | None = None
+    once: Once | None = None
 
 
 @dataclass(frozen=True)
