@@ -158,6 +158,18 @@ def test_a_series_of_demands_is_in_order_of_time(tmp_path):
         read_demand_series(tmp_path)
 
 
+def test_files_without_demands_are_gaps_of_a_series(tmp_path):
+    text = (FILES / "sndlib.txt").read_text()
+    gap = re.sub(r"(?s)(\nDEMANDS \(\n).*?\n\)", r"\1)", text)
+    (tmp_path / "a.txt").write_text(gap)
+    with pytest.raises(ScenarioError, match="none of its 1 files holds demands"):
+        read_demand_series(tmp_path)
+    (tmp_path / "b.txt").write_text(text)
+    with pytest.warns(ScenarioWarning, match=r"1 of 2 files hold no demands and are left out, such as a.txt"):
+        (matrix,) = read_demand_series(tmp_path)
+    assert matrix.source.endswith("b.txt") and len(matrix)
+
+
 # ---------------------------------------------------------------- refusals
 
 DAMAGED = [
