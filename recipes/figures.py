@@ -1,6 +1,6 @@
 """Reproduce every figure of the paper: methods on the same requests, agents trained for each scenario, all audited.
 
-    python recipes/figures.py                                  # all figures, a preview within 15 minutes on two cores
+    python recipes/figures.py                                  # all figures, a preview
     python recipes/figures.py budget=full output=runs/full     # the paper's ranges, ten workload seeds
     python recipes/figures.py figure=[aar_vs_nodes,anuc_vs_nodes]
 

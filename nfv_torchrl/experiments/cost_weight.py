@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, bound_rows, constant, gap_rows, method_row, paired_rows
-from nfv_torchrl.experiments.study import AGENT, Point, Runs, Study, cells_of
+from nfv_torchrl.experiments.study import AGENT, Point, Runs, Study, cells_of, show
 from nfv_torchrl.experiments.sweeps import METRICS
 
 SERIES = {"default": "DQN-AR, default reward", "paper": "DQN-AR, paper's reward"}
@@ -39,12 +39,12 @@ class CostWeight:
             others = self._others(study, world)
             for (reward, weight), runs in self._agents(study, world).items():
                 series, methods = SERIES[reward], {AGENT: runs, **others}
-                rows.append(method_row(store, runs, AGENT, weight, self.metric, world, series))
+                rows.append(method_row(store, runs, series, weight, self.metric, world))
                 paired += paired_rows(store, methods, weight, world, study, series)
                 if self.metric == "aar":
                     paired += gap_rows(store, methods, study.bound(world), weight, world, series)
             for name, runs in others.items():
-                rows += constant(method_row(store, runs, name, 0.0, self.metric, world), weights)
+                rows += constant(method_row(store, runs, show(name), 0.0, self.metric, world), weights)
             if self.metric == "aar":
                 for row in bound_rows(store, study.bound(world), 0.0, world):
                     rows += constant(row, weights)

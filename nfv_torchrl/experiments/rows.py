@@ -49,14 +49,12 @@ def setting(world: Point, rho: float) -> dict[str, Any]:
     }
 
 
-def method_row(
-    store: CellStore, runs: Runs, name: str, x: float, metric: str, world: Point, series: str | None = None
-) -> dict[str, Any]:
-    """One method at one point."""
+def method_row(store: CellStore, runs: Runs, series: str, x: float, metric: str, world: Point) -> dict[str, Any]:
+    """One method, called ``series``, at one point."""
     result = read_runs(store, runs)
     interval = mean_interval(values(result, metric))
     more = {"metric": metric, **setting(world, result["rho"]), "cell": keys(runs)}
-    return tidy_row(series or show(name), x, interval, **more)
+    return tidy_row(series, x, interval, **more)
 
 
 def bound_rows(store: CellStore, cell: Cell, x: float, world: Point) -> Rows:

@@ -112,10 +112,10 @@ class Study:
         interval over these holds the differences between trainings, too.
         """
         if not self.is_general(name):
-            return (self._run("evaluation", name, world, self.seeds, reward),)
+            return (self._run("evaluation", name, world, self.seeds, self._trained(name, world, reward)),)
         count = min(self.budget["training_seeds"], len(self.seeds))
         return tuple(
-            self._run("evaluation", name, world, self.seeds[seed::count], reward, training_seed=seed)
+            self._run("evaluation", name, world, self.seeds[seed::count], self._trained(name, world, reward, seed))
             for seed in range(count)
         )
 
@@ -123,7 +123,7 @@ class Study:
         """A method's decision time, on scenarios cut short. A trained method has the policy of the whole horizon."""
         options = self.budget["timing"]
         short = world | {"horizon": min(world["horizon"], options["horizon"])}
-        return self._run("timing", name, short, list(range(options["seeds"])), None, trained_on=world)
+        return self._run("timing", name, short, list(range(options["seeds"])), self._trained(name, world))
 
     def bound(self, world: Point, seeds: Sequence[int] | None = None) -> Cell:
         """Upper bounds on AAR, of the workloads of all seeds or of ``seeds``."""
@@ -230,26 +230,22 @@ class Study:
             told.append(f"{_together(names)}: trained for each point, for colocation off only.")
         return told
 
-    def _run(
-        self,
-        kind: str,
-        name: str,
-        world: Point,
-        seeds: Sequence[int],
-        reward: Sequence[str] | None,
-        trained_on: Point | None = None,
-        training_seed: int = 0,
-    ) -> Cell:
+    def _trained(self, name: str, world: Point, reward: Sequence[str] | None = None, seed: int = 0) -> Cell | None:
+        """The training behind a method on a scenario; None for a planner."""
+        return None if name in self.planners else self.training(name, world, reward, seed)
+
+    def _run(self, kind: str, name: str, world: Point, seeds: Sequence[int], run: Cell | None) -> Cell:
         alone = kind == "timing"
-        more = {"clock": "processor"} if alone else {}
         label = _label(name if kind == "evaluation" else f"{kind}_{name}", world)
-        if name in self.planners:
-            spec = {"scenario": world, "seeds": list(seeds), "method": self.planners[name], "training": None, **more}
-            return make_cell(kind, label, spec, alone=alone)
-        run = self.training(name, trained_on or world, reward, training_seed)
-        method = {**self.trained[name]["method"], "name": name}
-        spec = {"scenario": world, "seeds": list(seeds), "method": method, "training": run.spec, **more}
-        return make_cell(kind, label, spec, [run], alone=alone)
+        method = self.planners[name] if run is None else {**self.trained[name]["method"], "name": name}
+        spec = {
+            "scenario": world,
+            "seeds": list(seeds),
+            "method": method,
+            "training": None if run is None else run.spec,
+        }
+        more = {"clock": "processor"} if alone else {}
+        return make_cell(kind, label, {**spec, **more}, [] if run is None else [run], alone=alone)
 
 
 LABELS = {

@@ -9,7 +9,7 @@ from typing import Any
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.drawing import Drawn, panel_figure
 from nfv_torchrl.experiments.rows import Rows, bound_rows, gap_rows, method_row, paired_rows
-from nfv_torchrl.experiments.study import Point, Study, cells_of
+from nfv_torchrl.experiments.study import Point, Study, cells_of, show
 
 METRICS = {"aar": "AAR", "anuc": "ANUC ($)"}
 
@@ -46,7 +46,7 @@ class Sweep:
         for colocation in study.colocations:
             for x, world in self._worlds(study, colocation).items():
                 methods = study.evaluations(world)
-                rows += [method_row(store, runs, name, x, self.metric, world) for name, runs in methods.items()]
+                rows += [method_row(store, runs, show(name), x, self.metric, world) for name, runs in methods.items()]
                 paired += paired_rows(store, methods, x, world, study)
                 if self.metric == "aar":
                     rows += bound_rows(store, study.bound(world), x, world)

@@ -8,6 +8,7 @@ import json
 import pytest
 from inprocess import call
 
+from nfv_torchrl.experiments.field import limited
 from nfv_torchrl.scenario.scenario import Scenario
 
 pytest.importorskip("topohub", reason="the networks of set=traffic are TopoHub's")
@@ -111,3 +112,10 @@ def test_a_policy_that_no_method_reads_is_refused(recipe, named, tmp_path, capsy
         call(recipe, *extra, "method=[greedy,myopic_optimal]", named, f"output={tmp_path / 'out'}")
     assert "mine.pt" in (said := capsys.readouterr().err) and "would not be read" in said
     assert not (tmp_path / "out").exists()
+
+
+def test_the_limit_of_the_set_goes_to_exact_searches_that_have_none_of_their_own():
+    free, own, other = ({"planner": planner} for planner in ({"labels": None}, {"labels": 7}, {"paths": 10}))
+    assert limited(free, 50) == {"planner": {"labels": 50}} and limited(free, None) == free
+    assert limited(own, 50) == own and limited(other, 50) == other
+    assert limited({"path": "best.pt"}, 50) == {"path": "best.pt"}
