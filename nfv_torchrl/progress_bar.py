@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 import time
+import weakref
 from collections.abc import Iterable, Iterator
-from typing import Any, TextIO
+from typing import Any, ClassVar, TextIO
 
 from tqdm import tqdm
 
 SECONDS_BETWEEN_LINES = 10.0
+SECONDS_BETWEEN_REDRAWINGS = 1.0  # on a terminal, while a unit is at work
 BAR = "{desc}{percentage:3.0f}%|{bar:16}| {n_fmt}/{total_fmt} {unit}s, {elapsed} gone, {eta} left, {pace}{postfix}"
 LINE = "{desc}{percentage:3.0f}%, {n_fmt} of {total_fmt} {unit}s, {elapsed} gone, {eta} left, {pace}{postfix}"
 WITHOUT_TOTAL = "{desc}{n_fmt} {unit}s, {elapsed} gone, {pace}{postfix}"
@@ -19,9 +22,10 @@ WITHOUT_TOTAL = "{desc}{n_fmt} {unit}s, {elapsed} gone, {pace}{postfix}"
 class ProgressBar(tqdm):
     """A ``tqdm`` whose time left is not thrown off by pauses, and that writes whole lines where there is no terminal.
 
-    On a terminal it redraws one line. Elsewhere it writes a line every ten seconds. The first comes after ten seconds,
-    so that short work leaves none. Evaluations of a training belong into ``pause``: they count neither for the pace
-    nor for the time that the rest takes, but those still to come are added to the time left, as long as the last one.
+    On a terminal it redraws one line. Elsewhere it writes a line every ten seconds, also while one unit takes longer
+    than that. The first comes after ten seconds, so that short work leaves none. Evaluations of a training belong into
+    ``pause``: they count neither for the pace nor for the time that the rest takes, but those still to come are added
+    to the time left, as long as the last one.
 
     Args:
         items: what to go through; None: call ``update``.
@@ -75,6 +79,7 @@ class ProgressBar(tqdm):
             dynamic_ncols=terminal,
             position=None if terminal else 0,  # a bar within another would move up and down between lines
         )
+        self._ticker = _Ticker(self, SECONDS_BETWEEN_REDRAWINGS if terminal else SECONDS_BETWEEN_LINES)
 
     def __iter__(self) -> Iterator[Any]:
         # That of tqdm looks at the clock itself and knows nothing of the first unit, see `update`.
@@ -112,6 +117,18 @@ class ProgressBar(tqdm):
             self._paused += self._last_pause
             self._paused_times += 1
 
+    def close(self) -> None:
+        """The last line; nothing is written after it."""
+        self._ticker.stop()
+        super().close()
+
+    def show_again(self) -> None:
+        """Write the line though nothing has moved, if it is time for one and no bar within this one speaks for it."""
+        now: float = self._time()
+        if now - self.last_print_t >= self.mininterval and self._ticker.innermost:
+            self.last_print_t: float = now
+            self.refresh()
+
     def _work_seconds(self) -> float:
         return time.perf_counter() - self._paused
 
@@ -142,6 +159,39 @@ class ProgressBar(tqdm):
             "eta": "nothing" if done else "?" if left is None else self.format_interval(left),
             "pace": told if pace else f"? {self.unit}s/s",
         }
+
+
+class _Ticker:
+    """Lets a bar show itself now and then: whoever reads the line cannot tell a unit of minutes from a hang."""
+
+    _open: ClassVar[list[_Ticker]] = []
+
+    def __init__(self, bar: ProgressBar, seconds: float) -> None:
+        self._bar = weakref.ref(bar)  # a bar that nobody closes is still closed when it is collected
+        self._seconds = seconds
+        self._stopped = threading.Event()
+        self._showing = threading.RLock()  # again by this thread, where it collects the bar
+        self._open.append(self)
+        threading.Thread(target=self._run, name="progress bar", daemon=True).start()
+
+    @property
+    def innermost(self) -> bool:
+        """Whether no bar was opened later and is still open."""
+        return self._open[-1] is self
+
+    def stop(self) -> None:
+        with self._showing:
+            self._stopped.set()
+        with contextlib.suppress(ValueError):  # it was stopped before
+            self._open.remove(self)
+
+    def _run(self) -> None:
+        while not self._stopped.wait(self._seconds):
+            with self._showing:
+                bar = self._bar()
+                if bar is not None and not self._stopped.is_set():
+                    bar.show_again()
+                del bar  # not kept alive while waiting
 
 
 class _Lines:

@@ -116,3 +116,22 @@ def test_without_a_number_of_items_there_is_no_percentage(clock):
     clock.now += progress_bar.SECONDS_BETWEEN_LINES
     bar.update(20_000)
     assert log.getvalue() == "greedy: 20.0k requests, 00:10 gone, ? requests/s\n"
+
+
+def test_a_unit_that_takes_long_leaves_lines_and_a_closed_bar_none(monkeypatch):
+    monkeypatch.setattr(progress_bar, "SECONDS_BETWEEN_LINES", 0.05)
+    log = io.StringIO()
+    outer = ProgressBar(total=2, unit="cell", desc="losses", file=log)
+    outer.say("at work: dqn seed 0")
+    with ProgressBar(total=2, unit="request", desc="references", file=log):
+        time.sleep(0.2)
+    assert {line.split(":")[0] for line in log.getvalue().splitlines()} == {"references"}  # the innermost speaks
+    log.truncate(0)
+    time.sleep(0.2)
+    outer.close()
+    lines = log.getvalue().strip("\0").splitlines()
+    assert len(lines) >= 2 and all(
+        re.match(r"losses:   0%, 0 of 2 cells.*, at work: dqn seed 0$", line) for line in lines
+    )
+    time.sleep(0.1)
+    assert log.getvalue().strip("\0").splitlines() == lines

@@ -20,8 +20,8 @@ from nfv_torchrl.training.setup import StopRequest
 
 Chain = tuple[Cell, ...]
 """Cells that one worker computes one after the other: a training, then the evaluations of its policy."""
-Report = Callable[[Cell, list[Cell]], object]
-"""Called with a cell that has ended and the first of each chain at work."""
+Report = Callable[[Cell | None, list[Cell]], object]
+"""Called with a cell that has ended (None: work begins) and the first of each chain at work."""
 KILLED = "its worker was killed (too little memory?); start again to go on, with a smaller parallel.jobs"
 LEFT = "was not begun, since another worker was killed; start again to go on"
 STOPPING = b"\nStopping: what is at work ends, training saves; start again to go on.\n"
@@ -40,7 +40,7 @@ def compute(
         cells: what is wanted.
         store: where results are kept; its folder has to be the same for all workers.
         workers: see ``nfv_torchrl.parallel``.
-        report: told of every cell that has ended.
+        report: told of what begins and of every cell that has ended.
 
     Returns:
         What went wrong, by the key of the cell.
@@ -77,9 +77,10 @@ def compute_shown(cells: Iterable[Cell], store: CellStore, workers: Workers) -> 
     lacking = sum(not store.has(cell) for cell in cells)
     with ProgressBar(total=len(cells), initial=len(cells) - lacking, unit="cell") as bar:
 
-        def report(cell: Cell, at_work: list[Cell]) -> None:
-            bar.say(f"at work: {', '.join(other.label for other in at_work)}" if at_work else "")
-            bar.update()
+        def report(ended: Cell | None, at_work: list[Cell]) -> None:
+            bar.say(f"at work: {', '.join(cell.label for cell in at_work)}" if at_work else "")
+            if ended is not None:
+                bar.update()
 
         return compute(cells, store, workers=workers, report=report)
 
@@ -169,12 +170,13 @@ class _Round:
             hopeful += [left] if left else []
         open_chains = dict(enumerate(hopeful))
         function = partial(work_chain, store=self.store, leash=self.leash)
+        self._tell(None, hopeful[: workers.jobs])
         try:
             with closing(workers.unordered(function, self._until_stopped(hopeful))) as outcomes:  # type: ignore[type-var]
                 for outcome in outcomes:
                     failed = outcome.unwrap()
                     done = open_chains.pop(outcome.place)
-                    at_work = [chain[0] for chain in list(open_chains.values())[: workers.jobs]]
+                    at_work = list(open_chains.values())[: workers.jobs]
                     for cell in done:
                         self._ended(cell, failed.get(cell.key), at_work)
         except WorkerKilled:
@@ -189,11 +191,14 @@ class _Round:
                 return
             yield chain
 
-    def _ended(self, cell: Cell, why: str | None, at_work: list[Cell]) -> None:
+    def _ended(self, cell: Cell, why: str | None, at_work: Sequence[Chain]) -> None:
         if why is not None:
             self.failures[cell.key] = why
+        self._tell(cell, at_work)
+
+    def _tell(self, ended: Cell | None, at_work: Sequence[Chain]) -> None:
         if self.report is not None and not self.stop.asked:
-            self.report(cell, at_work)
+            self.report(ended, [chain[0] for chain in at_work])
 
 
 def _urgency(chain: Chain) -> int:
