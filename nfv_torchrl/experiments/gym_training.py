@@ -12,7 +12,7 @@ from torch import nn
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.gym import ENV_ID
-from nfv_torchrl.methods import CompiledMLP
+from nfv_torchrl.methods import CompiledNetwork
 from nfv_torchrl.networks import MLPNetwork, Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
@@ -66,7 +66,7 @@ def train_maskable_ppo(cell: Cell, store: CellStore) -> dict[str, Any]:
     return {"eval": points}
 
 
-def compiled(model: Any, scenario: Scenario) -> CompiledMLP:
+def compiled(model: Any, scenario: Scenario) -> CompiledNetwork:
     """The policy of a MaskablePPO with ``MlpPolicy``, as it is now, by its most probable valid action."""
     network = MLPNetwork(Sizes.of(Simulator(scenario, 1, one_hot=True)), hidden=WIDTHS, activation="Tanh")
     mine = [layer for layer in network.layers if isinstance(layer, nn.Linear)]
@@ -74,4 +74,4 @@ def compiled(model: Any, scenario: Scenario) -> CompiledMLP:
     with torch.no_grad():
         for layer, trained in zip(mine, [*theirs, model.policy.action_net], strict=True):
             layer.load_state_dict(trained.state_dict())
-    return CompiledMLP(network, name="maskable_ppo", one_hot=True)
+    return CompiledNetwork(network, name="maskable_ppo", one_hot=True)

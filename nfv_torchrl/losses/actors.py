@@ -37,11 +37,16 @@ def scorer(actor: TensorDictModuleBase) -> TensorDictModule | None:
 
     None for an actor of another kind, or with a memory.
     """
+    scores = scores_first(actor)
+    return scores if scores is not None and len(scores.out_keys) == 1 else None
+
+
+def scores_first(actor: TensorDictModuleBase) -> TensorDictModule | None:
+    """The same for an actor with a memory, too, whose module also gives the memory after the step."""
     stochastic = isinstance(actor, ProbabilisticActor) and actor[-1].distribution_class is MaskedCategorical
     if not (stochastic or isinstance(actor, QValueActor)):
         return None
-    scores = actor[0]
-    return scores if type(scores) is TensorDictModule and len(scores.out_keys) == 1 else None
+    return actor[0] if type(actor[0]) is TensorDictModule else None
 
 
 def q_network(loss: Any) -> QNetwork:

@@ -1,7 +1,7 @@
 """How a policy acts: at random, by the plans of a planner, by a trained network, or as a policy file says."""
 
 from nfv_torchrl.methods.base import MayStop, Method, WholePlay, WholeWalks
-from nfv_torchrl.methods.compiled import CompiledCandidates, CompiledMLP, acting_method, fastest_method
+from nfv_torchrl.methods.compiled import CompiledCandidates, CompiledNetwork, acting_method, fastest_method
 from nfv_torchrl.methods.evolved import CandidatePolicy, Evolvable, PricePolicy
 from nfv_torchrl.methods.from_config import methods_from_config
 from nfv_torchrl.methods.planned import PlannerMethod
@@ -12,7 +12,7 @@ from nfv_torchrl.methods.random import RandomMethod
 __all__ = [
     "CandidatePolicy",
     "CompiledCandidates",
-    "CompiledMLP",
+    "CompiledNetwork",
     "Evolvable",
     "MayStop",
     "Method",

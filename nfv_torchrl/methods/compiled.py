@@ -11,14 +11,14 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.modules import QValueActor
 
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.losses.actors import scorer
+from nfv_torchrl.losses.deciding import deciding_network
 from nfv_torchrl.methods.base import Method
 from nfv_torchrl.methods.candidate_play import CandidatePlay, is_highest
 from nfv_torchrl.methods.lookahead_play import LookaheadPlay
 from nfv_torchrl.methods.policy import PolicyMethod
 from nfv_torchrl.methods.watching import EVERY, MOST, Watch
-from nfv_torchrl.networks import CandidateNetwork, LookaheadNetwork, MLPNetwork, QNetwork
-from nfv_torchrl.networks.compiled import compiled_perceptron, outputs_of
+from nfv_torchrl.networks import CandidateNetwork, LookaheadNetwork, QNetwork
+from nfv_torchrl.networks.scoring import compiled_scorer, scores_of, shared_score
 from nfv_torchrl.search.playing import has_room
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
@@ -98,36 +98,36 @@ class CompiledLookahead(CompiledRows):
 
 
 @part
-def _highest(world, b, network, values):
-    """The valid action of the highest output of environment b.
+def _highest(world, b, scorer, values):
+    """The valid action of the highest score in environment b.
 
-    ``values`` float32 [2]: its output, and the highest of another valid action (NaN if there is none).
+    ``values`` float32 [2]: its value, and the highest of another valid action (NaN if there is none).
     """
-    weights, sizes, activation, now, after = network
-    for i in range(sizes[0]):
-        now[i] = world.seen.flat[b, i]
-    outputs_of(weights, sizes, activation, now, after)
+    scores_of(world, b, scorer)
     best = np.int64(world.seen.valid[b, 0])
     values[0] = values[1] = np.float32(-np.inf)
     for k in range(world.env[b].mask_count):
         action = np.int64(world.seen.valid[b, k])
-        score = now[action]
+        score = scorer.now[action]
         if is_highest(score, values):
             best = action
+    shared = shared_score(world, b, scorer)
+    values[0] += shared
+    values[1] += shared
     if world.env[b].mask_count < 2:
         values[1] = np.float32(np.nan)
     return best
 
 
 @kernel
-def choose_highest(world, network, actions, values):
-    """Fill ``actions`` int64 [B] with the valid action of the highest output of each environment, ``values`` [B, 2]."""
+def choose_highest(world, scorer, actions, values):
+    """Fill ``actions`` int64 [B] with the valid action of the highest score of each environment, ``values`` [B, 2]."""
     for b in range(actions.size):
-        actions[b] = _highest(world, b, network, values[b])
+        actions[b] = _highest(world, b, scorer, values[b])
 
 
 @kernel
-def play_highest(world, b, network, begun, values):
+def play_highest(world, b, scorer, begun, values):
     """Play environment b to the end of its horizon, or until the simulator's pools run low (then call again).
 
     ``begun``: steps made before. ``values`` float32 [MOST, 2]: those of every EVERY-th step, the last ones.
@@ -138,7 +138,7 @@ def play_highest(world, b, network, begun, values):
         if not has_room(world, b):
             return False, steps
         while True:
-            action = _highest(world, b, network, values[steps // EVERY % values.shape[0]])
+            action = _highest(world, b, scorer, values[steps // EVERY % values.shape[0]])
             step_env(world, b, action)
             steps += 1
             if world.outcome[b, OUTCOME.request_done] > 0.0:
@@ -146,51 +146,57 @@ def play_highest(world, b, network, begun, values):
     return True, steps
 
 
-class CompiledMLP:
-    """An ``MLPNetwork`` as a method that takes the valid action of the highest output, whole horizons in a call.
+class CompiledNetwork:
+    """A network that scores all actions from the flat observation, as a method that takes the valid one of the highest
+    score, whole horizons in a call.
 
-    The same choice as that of ``PolicyMethod``, but for outputs that agree to within rounding. The weights are those at
-    the time it is made.
+    The same choice as that of ``PolicyMethod``, but for scores that agree to within rounding. The weights are those at
+    the time it is made. A memory is zero when a horizon begins.
 
     Args:
-        network: what decides.
+        network: what decides: see ``compiled_scorer``.
         name: see ``PolicyMethod``.
         one_hot: see ``PolicyMethod``.
+        output: which of several outputs per action decides; None: their mean.
 
     Attributes:
-        watch: some of the outputs that decided, in the last run.
+        watch: some of the scores that decided, in the last run.
 
     Raises:
-        ScenarioError: another network, several outputs for an action, or another activation than ReLU and Tanh.
+        ScenarioError: a network that ``compiled_scorer`` does not take.
     """
 
     mask: str | None = None
     decides_admission = False
 
-    def __init__(self, network: QNetwork, *, name: str = "policy", one_hot: bool = True) -> None:
-        if not isinstance(network, MLPNetwork) or network.outputs != 1:
-            raise ScenarioError("network: a compiled perceptron is an MLPNetwork with one output for each action")
+    def __init__(
+        self, network: QNetwork, *, name: str = "policy", one_hot: bool = True, output: int | None = None
+    ) -> None:
         self.name, self.one_hot = name, one_hot
-        self._network = compiled_perceptron(network.layers)
+        self._scorer = compiled_scorer(network, 1, output)
         self.watch = Watch()
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
         """See ``Method``."""
-        self._values = np.zeros((simulator.batch_size, 2), np.float32)
+        batch = simulator.batch_size
+        self._values = np.zeros((batch, 2), np.float32)
+        self._scorer = self._scorer._replace(memory=np.zeros((batch, self._scorer.memory.shape[1]), np.float32))
         self.act(simulator)  # the first call may compile
+        self._scorer.memory[:] = 0.0
         self.watch.clear()
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """See ``Method``."""
         actions = np.zeros(simulator.batch_size, np.int64)
-        choose_highest(simulator.world, self._network, actions, self._values)
+        choose_highest(simulator.world, self._scorer, actions, self._values)
         return actions
 
     def play(self, simulator: Simulator, b: int) -> None:
         """Answer all requests of environment b, whose horizon has begun."""
         values, over, steps = np.full((MOST, 2), np.nan, np.float32), False, 0
+        self._scorer.memory[b] = 0.0
         while not over:
-            over, steps = play_highest(simulator.world, b, self._network, steps, values)
+            over, steps = play_highest(simulator.world, b, self._scorer, steps, values)
             if not over:
                 simulator.make_room_for(b)
         self.watch.add(values[: -(-steps // EVERY)])
@@ -201,10 +207,10 @@ def fastest_method(actor: TensorDictModuleBase, network: QNetwork, *, one_hot: b
 
     What others measure as an agent's decision time is that of ``acting_method``, which goes through torch.
     """
-    scores = scorer(actor)
-    if scores is not None and scores.module is network and list(scores.in_keys) == ["observation"]:
+    deciding = deciding_network(actor)
+    if deciding is not None and deciding[0] is network:
         with contextlib.suppress(ScenarioError):
-            return CompiledMLP(network, one_hot=one_hot)
+            return CompiledNetwork(network, one_hot=one_hot, output=deciding[1])
     return acting_method(actor, network, one_hot=one_hot)
 
 

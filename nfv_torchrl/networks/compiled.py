@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from torch import nn
+from torch import Tensor, nn
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks.layers import NoisyLinear
 from nfv_torchrl.simulator.compiled import part
 
 RELU, TANH = 0, 1
+Layer = tuple[Tensor, Tensor]
+"""Weights [inputs, outputs] and bias [outputs] of a linear layer."""
+
+
+@part
+def affine(weights, at, inputs, source, sums):
+    """Fill ``sums`` with the outputs of the linear layer whose weights begin at ``at``; returns where the next's begin.
+
+    It reads the first ``inputs`` numbers of ``source``.
+    """
+    outputs = sums.size
+    end = at + inputs * outputs
+    bias = weights[end : end + outputs]
+    for o in range(outputs):
+        sums[o] = bias[o]
+    # Outputs innermost, and rows as arrays of their own: the compiler turns that loop into vector instructions. Half of
+    # the inputs of a layer are zero.
+    for i in range(inputs):
+        value = source[i]
+        if value != 0.0:
+            row = weights[at + i * outputs : at + (i + 1) * outputs]
+            for o in range(outputs):
+                sums[o] += row[o] * value
+    return end + outputs
 
 
 @part
@@ -24,20 +48,9 @@ def outputs_of(weights, sizes, activation, now, after):
     at = 0
     layers = sizes.size - 1
     for layer in range(layers):
-        inputs, outputs = sizes[layer], sizes[layer + 1]
-        end = at + inputs * outputs
-        bias, sums = weights[end : end + outputs], after[:outputs]
-        for o in range(outputs):
-            sums[o] = bias[o]
-        # Outputs innermost, and rows as arrays of their own: the compiler turns that loop into vector instructions.
-        # Half of the inputs of a layer are zero.
-        for i in range(inputs):
-            value = now[i]
-            if value != 0.0:
-                row = weights[at + i * outputs : at + (i + 1) * outputs]
-                for o in range(outputs):
-                    sums[o] += row[o] * value
-        at = end + outputs
+        outputs = sizes[layer + 1]
+        sums = after[:outputs]
+        at = affine(weights, at, sizes[layer], now, sums)
         for o in range(outputs):
             if layer == layers - 1:
                 now[o] = sums[o]
@@ -72,22 +85,38 @@ def compiled_perceptron(layers: Iterable[nn.Module]) -> CompiledPerceptron:
     Raises:
         ScenarioError: layers of another kind, or another activation than ReLU and Tanh.
     """
+    return compiled_layers(layers_of(layers), activation_of(layers))
+
+
+def activation_of(layers: Iterable[nn.Module]) -> int:
+    """The one between linear layers: RELU or TANH.
+
+    Raises:
+        ScenarioError: layers of another kind, or another activation.
+    """
     every = list(layers)
-    linear = [layer for layer in every if isinstance(layer, nn.Linear | NoisyLinear)]
     others = {type(layer) for layer in every} - {nn.Linear, NoisyLinear}
     known = {nn.ReLU: RELU, nn.Tanh: TANH}
-    if not linear or len(others) > 1 or not others <= set(known):
+    if len(others) == len(every) or len(others) > 1 or not others <= set(known):
         raise ScenarioError("network: a compiled network has linear layers and ReLU or Tanh between them")
-    shapes = [_weights(layer)[0].shape for layer in linear]
-    sizes = np.array([shapes[0][0], *(outputs for _, outputs in shapes)], np.int64)
-    parts = [part.detach().cpu().numpy().ravel() for layer in linear for part in _weights(layer)]
+    return known[next(iter(others))] if others else RELU
+
+
+def layers_of(modules: Iterable[nn.Module]) -> list[Layer]:
+    """The linear ones of ``modules`` as they are now; noise is left out."""
+    return [_weights(layer) for layer in modules if isinstance(layer, nn.Linear | NoisyLinear)]
+
+
+def compiled_layers(layers: Sequence[Layer], activation: int) -> CompiledPerceptron:
+    """The perceptron of such layers."""
+    sizes = np.array([layers[0][0].shape[0], *(weights.shape[1] for weights, _ in layers)], np.int64)
+    parts = [part.detach().cpu().numpy().ravel() for layer in layers for part in layer]
     scratch = np.zeros((2, int(sizes.max())), np.float32)
-    activation = known[next(iter(others))] if others else RELU
     return CompiledPerceptron(np.concatenate(parts).astype(np.float32), sizes, activation, scratch[0], scratch[1])
 
 
-def _weights(layer: nn.Linear | NoisyLinear) -> tuple:
+def _weights(layer: nn.Linear | NoisyLinear) -> Layer:
     """Weights [inputs, outputs] and bias [outputs] of a layer."""
     if isinstance(layer, NoisyLinear):
-        return layer.weight_mu.T, layer.bias_mu
+        return layer.weight_mu.T, layer.bias_mu  # type: ignore[return-value]  # every layer here has a bias
     return layer.weight.T, layer.bias

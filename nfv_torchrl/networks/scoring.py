@@ -1,0 +1,147 @@
+"""Networks that score every action from the flat observation, inside a compiled loop."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from torch import Tensor, nn
+
+from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.networks.base import QNetwork
+from nfv_torchrl.networks.compiled import RELU, Layer, activation_of, affine, compiled_layers, layers_of, outputs_of
+from nfv_torchrl.networks.dueling import DuelingNetwork
+from nfv_torchrl.networks.gru import GRUNetwork
+from nfv_torchrl.networks.mlp import MLPNetwork
+from nfv_torchrl.simulator.compiled import part
+
+
+class CompiledScorer(NamedTuple):
+    """The weights of such a network as they were, the memory of each environment, and scratch."""
+
+    weights: np.ndarray  # float32: [inputs, outputs] of each layer, then its bias
+    sizes: np.ndarray  # int64: of the perceptron's layers, or of observation, memory and actions
+    activation: int  # of the perceptron, see ``outputs_of``
+    memory: np.ndarray  # float32 [B, H]; H = 0: a perceptron
+    now: np.ndarray  # float32, see ``scores_of``
+    after: np.ndarray
+
+
+def compiled_scorer(network: QNetwork, batch: int, output: int | None = None) -> CompiledScorer:
+    """A network that scores every action of each of ``batch`` environments; noise is left out.
+
+    Args:
+        network: an ``MLPNetwork``, ``DuelingNetwork`` or ``GRUNetwork``.
+        batch: B; memories are zero.
+        output: which of several outputs per action is the score; None: their mean.
+
+    Raises:
+        ScenarioError: another network, or another activation than ReLU and Tanh.
+    """
+    if isinstance(network, GRUNetwork):
+        return _remembering(network, batch, output)
+    if isinstance(network, MLPNetwork):
+        *hidden, last = layers_of(network.layers)
+        layers = [*hidden, _scoring(last, network.outputs, output)]
+        return _perceptron(layers, activation_of(network.layers), batch)
+    if isinstance(network, DuelingNetwork):
+        return _perceptron(_joined(network, output), activation_of(network.advantage), batch)
+    raise ScenarioError(f"network: {type(network).__name__} has no compiled form")
+
+
+def _perceptron(layers: list[Layer], activation: int, batch: int) -> CompiledScorer:
+    made = compiled_layers(layers, activation)
+    return CompiledScorer(
+        made.weights, made.sizes, made.activation, np.zeros((batch, 0), np.float32), made.now, made.after
+    )
+
+
+def _scoring(last: Layer, outputs: int, output: int | None) -> Layer:
+    """The last layer for one score per action instead of several outputs; a mean of linear outputs is linear."""
+    weights, bias = (part.unflatten(-1, (-1, outputs)) for part in last)
+    return (weights.mean(-1), bias.mean(-1)) if output is None else (weights[..., output], bias[..., output])
+
+
+def _joined(network: DuelingNetwork, output: int | None) -> list[Layer]:
+    """Both heads side by side: outputs are the advantage of each action and, last, V."""
+    trunk = [] if isinstance(network.trunk, nn.Identity) else layers_of(network.trunk[0])  # type: ignore[index]
+    (first_a, last_a), (first_v, last_v) = (layers_of(head) for head in (network.advantage, network.value))
+    advantage, value = (_scoring(last, network.outputs, output) for last in (last_a, last_v))
+    width, actions = advantage[0].shape
+    weights = advantage[0].new_zeros((2 * width, actions + 1))
+    weights[:width, :actions], weights[width:, actions:] = advantage[0], value[0]
+    first = tuple(_side_by_side(a, v) for a, v in zip(first_a, first_v, strict=True))
+    return [*trunk, first, (weights, _side_by_side(advantage[1], value[1]))]  # type: ignore[list-item]
+
+
+def _side_by_side(left: Tensor, right: Tensor) -> Tensor:
+    return nn.functional.pad(left, (0, right.shape[-1])) + nn.functional.pad(right, (left.shape[-1], 0))
+
+
+def _remembering(network: GRUNetwork, batch: int, output: int | None) -> CompiledScorer:
+    cell = network.cell
+    gates = [(cell.weight_ih.T, cell.bias_ih), (cell.weight_hh.T, cell.bias_hh)]
+    values = _scoring(layers_of([network.values])[0], network.outputs, output)
+    made = compiled_layers([*layers_of(network.encode), *gates, values], RELU)
+    observation, hidden, actions = made.sizes[0], network.hidden, made.sizes[-1]
+    return CompiledScorer(
+        made.weights,
+        np.array([observation, hidden, actions]),
+        made.activation,
+        np.zeros((batch, hidden), np.float32),
+        np.zeros(max(observation, 6 * hidden, actions), np.float32),
+        np.zeros(2 * hidden, np.float32),
+    )
+
+
+@part
+def scores_of(world, b, scorer):
+    """Leave the scores of environment b's actions in ``scorer.now``; a memory goes on by a step.
+
+    Those of a dueling network are less what all actions share: see ``shared_score``.
+    """
+    for i in range(scorer.sizes[0]):
+        scorer.now[i] = world.seen.flat[b, i]
+    if scorer.memory.shape[1] > 0:
+        _remembered(scorer.weights, scorer.sizes, scorer.now, scorer.after, scorer.memory[b])
+    else:
+        outputs_of(scorer.weights, scorer.sizes, scorer.activation, scorer.now, scorer.after)
+
+
+@part
+def shared_score(world, b, scorer):
+    """What a dueling network adds to the scores of all actions: V less the mean advantage of the valid ones."""
+    actions = world.seen.mask.shape[1]
+    if scorer.sizes[-1] == actions:
+        return np.float32(0.0)
+    count = world.env[b].mask_count
+    total = np.float32(0.0)
+    for k in range(count):
+        total += scorer.now[world.seen.valid[b, k]]
+    return scorer.now[actions] - total / np.float32(max(count, 1))
+
+
+@part
+def _remembered(weights, sizes, now, after, memory):
+    """Outputs of a ``GRUNetwork`` for the observation in ``now``, left there; ``memory`` becomes that after the step.
+
+    ``now`` has room for 6 H numbers: the three gates by the encoded observation, and by the memory. ``after`` has 2 H.
+    """
+    observation, hidden, actions = sizes[0], sizes[1], sizes[2]
+    at = affine(weights, 0, observation, now, after[:hidden])
+    for j in range(hidden):
+        after[j] = max(after[j], np.float32(0.0))
+    at = affine(weights, at, hidden, after, now[: 3 * hidden])
+    at = affine(weights, at, hidden, memory, now[3 * hidden : 6 * hidden])
+    for j in range(hidden):
+        reset = _sigmoid(now[j] + now[3 * hidden + j])
+        keep = _sigmoid(now[hidden + j] + now[4 * hidden + j])
+        new = np.tanh(now[2 * hidden + j] + reset * now[5 * hidden + j])
+        memory[j] = (np.float32(1.0) - keep) * new + keep * memory[j]
+        after[hidden + j] = memory[j]
+    affine(weights, at, 2 * hidden, after, now[:actions])
+
+
+@part
+def _sigmoid(x):
+    return np.float32(1.0) / (np.float32(1.0) + np.exp(-x))
