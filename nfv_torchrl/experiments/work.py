@@ -10,6 +10,7 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
+from hydra.utils import get_object
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.audit import audit_run
@@ -22,7 +23,7 @@ from nfv_torchrl.experiments.cells import Cell, CellStore
 from nfv_torchrl.experiments.gym_training import train_maskable_ppo
 from nfv_torchrl.experiments.training import drop_checkpoints, run_folder, train
 from nfv_torchrl.inputs import file_digests
-from nfv_torchrl.methods import Method, methods_from_config
+from nfv_torchrl.methods import Method, load_policy, methods_from_config
 from nfv_torchrl.rewards import cost_scale
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator.tables import build_tables
@@ -59,7 +60,7 @@ def evaluate(cell: Cell, store: CellStore) -> Result:
     """
     spec = cell.spec
     scenarios = _scenarios(spec)
-    records = run_method(scenarios, _method(cell, store, scenarios), spec["seeds"])
+    records = run_method(scenarios, _method(cell, store, scenarios, compiled=True), spec["seeds"])
     metrics = {}
     for record in records:
         frames = int(record.step_offsets[-1])
@@ -121,10 +122,15 @@ def _scenarios(spec: Mapping[str, Any]) -> list[Scenario]:
     return [Scenario.from_config({**spec["scenario"], "seed": seed}) for seed in spec["scenario_seeds"]]
 
 
-def _method(cell: Cell, store: CellStore, scenario: Scenario | Sequence[Scenario]) -> Method:
-    """The method of a cell; a trained one with its policy file, which is in the folder of the run that it needs."""
+def _method(cell: Cell, store: CellStore, scenario: Scenario | Sequence[Scenario], *, compiled: bool = False) -> Method:
+    """The method of a cell; a trained one with its policy file, which is in the folder of the run that it needs.
+
+    ``compiled``: see ``load_policy``; not where its time is what is measured.
+    """
     spec = cell.spec
     config = dict(spec["method"])
+    if get_object(config["_target_"]) is load_policy:
+        config["compiled"] = compiled
     if spec.get("training") is not None:
         (run,) = cell.needs
         config["path"] = str(run_folder(run, store) / spec["training"]["policy"])

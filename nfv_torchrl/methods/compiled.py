@@ -155,9 +155,11 @@ class CompiledNetwork:
 
     Args:
         network: what decides: see ``compiled_scorer``.
+        output: which of several outputs per action decides; None: their mean.
         name: see ``PolicyMethod``.
         one_hot: see ``PolicyMethod``.
-        output: which of several outputs per action decides; None: their mean.
+        mask: see ``PolicyMethod``.
+        decides_admission: see ``PolicyMethod``.
 
     Attributes:
         watch: some of the scores that decided, in the last run.
@@ -166,13 +168,18 @@ class CompiledNetwork:
         ScenarioError: a network that ``compiled_scorer`` does not take.
     """
 
-    mask: str | None = None
-    decides_admission = False
-
     def __init__(
-        self, network: QNetwork, *, name: str = "policy", one_hot: bool = True, output: int | None = None
+        self,
+        network: QNetwork,
+        output: int | None = None,
+        *,
+        name: str = "policy",
+        one_hot: bool = True,
+        mask: str | None = None,
+        decides_admission: bool = False,
     ) -> None:
         self.name, self.one_hot = name, one_hot
+        self.mask, self.decides_admission = mask, decides_admission
         self._scorer = compiled_scorer(network, 1, output)
         self.watch = Watch()
 
@@ -202,16 +209,16 @@ class CompiledNetwork:
         self.watch.add(values[: -(-steps // EVERY)])
 
 
-def fastest_method(actor: TensorDictModuleBase, network: QNetwork, *, one_hot: bool) -> Method:
-    """The same decisions as ``acting_method``, compiled wherever the network can be: for evaluations in a training.
+def fastest_method(actor: TensorDictModuleBase, network: QNetwork, *, one_hot: bool, **options: Any) -> Method:
+    """The same decisions as those of ``acting_method``, compiled wherever the network can be.
 
     What others measure as an agent's decision time is that of ``acting_method``, which goes through torch.
     """
     deciding = deciding_network(actor)
     if deciding is not None and deciding[0] is network:
         with contextlib.suppress(ScenarioError):
-            return CompiledNetwork(network, one_hot=one_hot, output=deciding[1])
-    return acting_method(actor, network, one_hot=one_hot)
+            return CompiledNetwork(*deciding, one_hot=one_hot, **options)
+    return acting_method(actor, network, one_hot=one_hot, **options)
 
 
 def acting_method(actor: Any, network: QNetwork, *, one_hot: bool, **options: Any) -> Method:

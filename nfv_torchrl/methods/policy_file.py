@@ -12,7 +12,7 @@ from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.losses.actors import q_network
 from nfv_torchrl.methods.base import Method
 from nfv_torchrl.methods.building import building, factory
-from nfv_torchrl.methods.compiled import acting_method
+from nfv_torchrl.methods.compiled import acting_method, fastest_method
 from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import MASKS, Scenario
@@ -101,6 +101,7 @@ def load_policy(
     *,
     name: str = "checkpoint",
     trusted_packages: Sequence[str] = (),
+    compiled: bool = False,
 ) -> Method:
     """The greedy policy of a file (``best.pt`` of a run) for ``scenario``.
 
@@ -117,6 +118,8 @@ def load_policy(
             sizes they were trained on.
         name: name of the method in tables and folders.
         trusted_packages: packages of your own whose classes the file may name too. Importing them runs their code.
+        compiled: decide without torch where the network allows it: the same decisions up to rounding, many times as
+            fast. Decision times are then not those of the network through torch.
 
     Raises:
         CheckpointError: unreadable, made for another network, or with anything in it that a policy has not.
@@ -139,7 +142,8 @@ def load_policy(
     module.actor.eval()
     if planner:
         return planner_method(planner.follow(module.actor), name=name)
-    return acting_method(
+    acting = fastest_method if compiled else acting_method
+    return acting(
         module.actor,
         network,
         one_hot=content["one_hot"],

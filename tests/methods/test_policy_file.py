@@ -12,8 +12,10 @@ from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import DQN, Reinforce, q_network
 from nfv_torchrl.methods import (
     CandidatePolicy,
+    CompiledNetwork,
     Method,
     PlannerMethod,
+    PolicyMethod,
     PricePolicy,
     acting_method,
     load_policy,
@@ -73,6 +75,17 @@ def test_it_decides_as_before_it_was_saved(make, kind, tmp_path):
     assert content["kind"] == kind
     save_policy(tmp_path / "best.pt", content)
     assert_same_decisions(method, load_policy(tmp_path / "best.pt", SCENARIO))
+
+
+def test_compiled_it_decides_the_same_under_the_name_and_mask_of_its_file(tmp_path):
+    torch.manual_seed(0)
+    loss = DQN(functools.partial(MLPNetwork, hidden=[8]), SIZES)
+    config = {"network": MLP, "loss": {"_target_": "nfv_torchrl.losses.DQN"}}
+    save_policy(tmp_path / "best.pt", policy_content(loss, SIZES, config, SCENARIO, {}))
+    slow, fast = (load_policy(tmp_path / "best.pt", SCENARIO, name="dqn", compiled=how) for how in (False, True))
+    assert isinstance(slow, PolicyMethod) and isinstance(fast, CompiledNetwork)
+    assert (fast.name, fast.mask, fast.one_hot) == ("dqn", "feasible", False)
+    assert_same_decisions(slow, fast)
 
 
 @pytest.mark.parametrize(("make", "kind"), KINDS)
