@@ -33,6 +33,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.tables import Table
+from nfv_torchrl.experiments.evaluation_speed import run_evaluations
 from nfv_torchrl.experiments.gym_speed import run_gym
 from nfv_torchrl.experiments.loaded import make_scenario
 from nfv_torchrl.experiments.speed import (
@@ -141,6 +142,7 @@ PARTS: dict[str, tuple[str, Callable[[dict[str, Any]], Iterator[Row]]]] = {
     "gym": ("Gymnasium: MaskablePPO of sb3-contrib, rollouts alone and learning", run_gym),
     "training": ("Training: recipes/dqn.py preset=mlp", run_training),
     "methods": ("Methods: decisions on loaded networks, simulation not counted", run_methods),
+    "evaluation": ("Evaluations in a training: greedy policies of fresh networks, simulation counted", run_evaluations),
     "memory": ("Memory: arrays of a batch at the end of its horizon", run_memory),
 }
 

@@ -589,7 +589,12 @@ class BenchmarkSettings:
     scenario: ScenarioKeys
     method: Methods
     parts: tuple[
-        Annotated[str, OneOf("kernel", "env", "collector", "workers", "rows", "gym", "training", "methods", "memory")],
+        Annotated[
+            str,
+            OneOf(
+                "kernel", "env", "collector", "workers", "rows", "gym", "training", "methods", "evaluation", "memory"
+            ),
+        ],
         ...,
     ]
     nodes: Annotated[tuple[Nodes, ...], Some]

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 
 import pytest
 from tiny import TINY_SCENARIO, TINY_TRAINING, run
+
+from nfv_torchrl.experiments import evaluation_speed
+from nfv_torchrl.scenario import paper_scenario
 
 TINY = [
     *TINY_SCENARIO,
@@ -41,6 +45,14 @@ def test_every_part_has_its_rows(measured):
     for row in (row for rows in results.values() for row in rows):
         assert all(value > 0 and math.isfinite(value) for value in row.values() if isinstance(value, float))
     assert "steps/s" in printed and document["machine"]["torch"] in printed
+
+
+def test_compiled_networks_are_measured_against_torch(monkeypatch):
+    short = partial(paper_scenario, seed=0, horizon=2)
+    monkeypatch.setattr(evaluation_speed, "make_scenario", lambda config, nodes, slots: short(nodes=nodes))
+    rows = list(evaluation_speed.run_evaluations({"nodes": [5]}))
+    assert [row["network"] for row in rows] == list(evaluation_speed.LOSSES)
+    assert all(row["times"] == row["steps/s"] / row["steps/s by torch"] > 0 for row in rows)
 
 
 def test_networks_are_loaded_while_they_are_measured(measured):
