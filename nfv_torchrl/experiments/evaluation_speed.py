@@ -11,10 +11,10 @@ import torch
 
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.experiments.loaded import make_scenario
-from nfv_torchrl.losses import DQN, QuantileDQN, Rainbow, q_network
+from nfv_torchrl.losses import DQN, IQN, QuantileDQN, Rainbow, q_network
 from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
 from nfv_torchrl.methods import Method, PolicyMethod, fastest_method
-from nfv_torchrl.networks import DuelingNetwork, GRUNetwork, MLPNetwork, Sizes
+from nfv_torchrl.networks import DuelingNetwork, GRUNetwork, ImplicitQuantileNetwork, MLPNetwork, Sizes
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
 
@@ -25,6 +25,7 @@ LOSSES: dict[str, Callable[[Sizes], Any]] = {
     "dueling": partial(DQN, DuelingNetwork),
     "quantiles of mlp": partial(QuantileDQN, MLPNetwork),
     "rainbow": partial(Rainbow, partial(DuelingNetwork, noisy=True)),
+    "implicit": partial(IQN, ImplicitQuantileNetwork),
     "gru": partial(RecurrentDQN, GRUNetwork),
 }
 

@@ -82,8 +82,9 @@ class CandidatePlay:
     """
 
     def __init__(self, network: CandidateNetwork) -> None:
-        if network.outputs != 1 or network.noisy:
-            raise ScenarioError("network: a compiled candidate network has one output and no noise")
+        # Not a class derived from it, which may compute something else.
+        if type(network) is not CandidateNetwork or network.outputs != 1 or network.noisy:
+            raise ScenarioError("network: a compiled one is a CandidateNetwork with one output and no noise")
         self._weights, self._sizes, self._activation, self._now, self._after = compiled_perceptron(network.layers)
 
     def prepare(self, world: World) -> None:

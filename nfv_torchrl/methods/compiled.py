@@ -222,13 +222,14 @@ def fastest_method(actor: TensorDictModuleBase, network: QNetwork, *, one_hot: b
 
 
 def acting_method(actor: Any, network: QNetwork, *, one_hot: bool, **options: Any) -> Method:
-    """The method of ``actor``, whose network is ``network``; ``options`` are those that both kinds of method have."""
-    if isinstance(actor, QValueActor) and isinstance(network, CandidateNetwork):
-        try:
-            return CompiledCandidates(network, **options)
-        except ScenarioError:  # noise, several outputs or another activation: torch can do them
-            pass
-    if isinstance(actor, QValueActor) and isinstance(network, LookaheadNetwork):
-        with contextlib.suppress(ScenarioError):
-            return CompiledLookahead(network, **options)
+    """The method of ``actor``, whose network is ``network``; ``options`` are those that both kinds of method have.
+
+    Networks that value rows are compiled where they can be: one output, no noise, and nothing between them and the
+    choice.
+    """
+    deciding = deciding_network(actor)
+    if deciding is not None and deciding[0] is network and isinstance(actor, QValueActor):
+        for compiled in (CompiledCandidates, CompiledLookahead):
+            with contextlib.suppress(ScenarioError):
+                return compiled(network, **options)  # type: ignore[arg-type]  # it refuses other networks
     return PolicyMethod(actor, network.observations(), one_hot=one_hot, **options)

@@ -108,8 +108,9 @@ class LookaheadPlay:
     """
 
     def __init__(self, network: LookaheadNetwork) -> None:
-        if network.outputs != 1:
-            raise ScenarioError("network: a compiled look-ahead network has one output")
+        # Not a class derived from it, which may compute something else.
+        if type(network) is not LookaheadNetwork or network.outputs != 1:
+            raise ScenarioError("network: a compiled one is a LookaheadNetwork with one output")
         self._network, self._prices = network, compiled_perceptron(network.prices)
 
     def prepare(self, world: World) -> None:

@@ -40,6 +40,13 @@ def affine(weights, at, inputs, source, sums):
 
 
 @part
+def activate(values, activation):
+    """Apply RELU or TANH to each of ``values``."""
+    for o in range(values.size):
+        values[o] = max(values[o], np.float32(0.0)) if activation == RELU else np.tanh(values[o])
+
+
+@part
 def outputs_of(weights, sizes, activation, now, after):
     """Outputs of the perceptron for the inputs in ``now``, which are left in ``now``; ``after`` is room, too.
 
@@ -51,13 +58,10 @@ def outputs_of(weights, sizes, activation, now, after):
         outputs = sizes[layer + 1]
         sums = after[:outputs]
         at = affine(weights, at, sizes[layer], now, sums)
+        if layer < layers - 1:
+            activate(sums, activation)
         for o in range(outputs):
-            if layer == layers - 1:
-                now[o] = sums[o]
-            elif activation == RELU:
-                now[o] = max(sums[o], np.float32(0.0))
-            else:
-                now[o] = np.tanh(sums[o])
+            now[o] = sums[o]
 
 
 @part

@@ -73,10 +73,13 @@ class ImplicitQuantileNetwork(QNetwork):
     def forward(self, observation: Tensor, levels: Tensor | None = None) -> Tensor:
         """Quantiles of all actions at ``levels``, or at the fixed levels."""
         at = middles(self.number, observation.device) if levels is None else levels
-        waves = math.pi * torch.arange(self.level.in_features, device=observation.device)
-        embedded = functional.relu(self.level(torch.cos(at.unsqueeze(-1) * waves)))
-        values = self.quantiles(self.state(observation).unsqueeze(-2) * embedded).transpose(-1, -2)
+        values = self.quantiles(self.state(observation).unsqueeze(-2) * self.embed(at)).transpose(-1, -2)
         return values.mean(-1) if levels is None and self.outputs == 1 else values
+
+    def embed(self, levels: Tensor) -> Tensor:
+        """Features of ``levels`` [..., N], float32 [..., N, W]."""
+        waves = math.pi * torch.arange(self.level.in_features, device=levels.device)
+        return functional.relu(self.level(torch.cos(levels.unsqueeze(-1) * waves)))
 
 
 def middles(number: int, device: torch.device | None = None) -> Tensor:

@@ -5,24 +5,40 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from torch import Tensor, nn
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks.base import QNetwork
-from nfv_torchrl.networks.compiled import RELU, Layer, activation_of, affine, compiled_layers, layers_of, outputs_of
+from nfv_torchrl.networks.compiled import (
+    RELU,
+    Layer,
+    activate,
+    activation_of,
+    affine,
+    compiled_layers,
+    layers_of,
+    outputs_of,
+)
 from nfv_torchrl.networks.dueling import DuelingNetwork
 from nfv_torchrl.networks.gru import GRUNetwork
+from nfv_torchrl.networks.implicit import ImplicitQuantileNetwork, middles
 from nfv_torchrl.networks.mlp import MLPNetwork
 from nfv_torchrl.simulator.compiled import part
 
 
 class CompiledScorer(NamedTuple):
-    """The weights of such a network as they were, the memory of each environment, and scratch."""
+    """The weights of such a network as they were, the memory of each environment, and scratch.
+
+    ``memory`` with H > 0 is that of a ``GRUNetwork``. ``levels`` with M > 0 are those of an
+    ``ImplicitQuantileNetwork``. Without either it is a perceptron.
+    """
 
     weights: np.ndarray  # float32: [inputs, outputs] of each layer, then its bias
     sizes: np.ndarray  # int64: of the perceptron's layers, or of observation, memory and actions
     activation: int  # of the perceptron, see ``outputs_of``
-    memory: np.ndarray  # float32 [B, H]; H = 0: a perceptron
+    memory: np.ndarray  # float32 [B, H]
+    levels: np.ndarray  # float32 [M, W]: what features of the state are multiplied with at each level
     now: np.ndarray  # float32, see ``scores_of``
     after: np.ndarray
 
@@ -31,29 +47,30 @@ def compiled_scorer(network: QNetwork, batch: int, output: int | None = None) ->
     """A network that scores every action of each of ``batch`` environments; noise is left out.
 
     Args:
-        network: an ``MLPNetwork``, ``DuelingNetwork`` or ``GRUNetwork``.
+        network: an ``MLPNetwork``, ``DuelingNetwork``, ``ImplicitQuantileNetwork`` or ``GRUNetwork``.
         batch: B; memories are zero.
         output: which of several outputs per action is the score; None: their mean.
 
     Raises:
         ScenarioError: another network, or another activation than ReLU and Tanh.
     """
-    if isinstance(network, GRUNetwork):
+    if type(network) is GRUNetwork:  # and no class derived from it, which may compute something else
         return _remembering(network, batch, output)
-    if isinstance(network, MLPNetwork):
+    if type(network) is ImplicitQuantileNetwork and output is None:
+        return _implicit(network, batch)
+    if type(network) is MLPNetwork:
         *hidden, last = layers_of(network.layers)
         layers = [*hidden, _scoring(last, network.outputs, output)]
         return _perceptron(layers, activation_of(network.layers), batch)
-    if isinstance(network, DuelingNetwork):
+    if type(network) is DuelingNetwork:
         return _perceptron(_joined(network, output), activation_of(network.advantage), batch)
     raise ScenarioError(f"network: {type(network).__name__} has no compiled form")
 
 
 def _perceptron(layers: list[Layer], activation: int, batch: int) -> CompiledScorer:
     made = compiled_layers(layers, activation)
-    return CompiledScorer(
-        made.weights, made.sizes, made.activation, np.zeros((batch, 0), np.float32), made.now, made.after
-    )
+    memory, levels = np.zeros((batch, 0), np.float32), np.zeros((0, 0), np.float32)
+    return CompiledScorer(made.weights, made.sizes, made.activation, memory, levels, made.now, made.after)
 
 
 def _scoring(last: Layer, outputs: int, output: int | None) -> Layer:
@@ -78,6 +95,18 @@ def _side_by_side(left: Tensor, right: Tensor) -> Tensor:
     return nn.functional.pad(left, (0, right.shape[-1])) + nn.functional.pad(right, (left.shape[-1], 0))
 
 
+def _implicit(network: ImplicitQuantileNetwork, batch: int) -> CompiledScorer:
+    """As a perceptron whose last hidden layer is run at each level; its mean goes into the last layer, once."""
+    made = _perceptron(
+        [*layers_of(network.state[0]), *layers_of(network.quantiles)],  # type: ignore[arg-type]
+        activation_of(network.quantiles),
+        batch,
+    )
+    with torch.no_grad():
+        levels = network.embed(middles(network.number)).cpu().numpy()
+    return made._replace(levels=levels, after=np.zeros(3 * int(made.sizes.max()), np.float32))
+
+
 def _remembering(network: GRUNetwork, batch: int, output: int | None) -> CompiledScorer:
     cell = network.cell
     gates = [(cell.weight_ih.T, cell.bias_ih), (cell.weight_hh.T, cell.bias_hh)]
@@ -89,6 +118,7 @@ def _remembering(network: GRUNetwork, batch: int, output: int | None) -> Compile
         np.array([observation, hidden, actions]),
         made.activation,
         np.zeros((batch, hidden), np.float32),
+        np.zeros((0, 0), np.float32),
         np.zeros(max(observation, 6 * hidden, actions), np.float32),
         np.zeros(2 * hidden, np.float32),
     )
@@ -104,6 +134,8 @@ def scores_of(world, b, scorer):
         scorer.now[i] = world.seen.flat[b, i]
     if scorer.memory.shape[1] > 0:
         _remembered(scorer.weights, scorer.sizes, scorer.now, scorer.after, scorer.memory[b])
+    elif scorer.levels.shape[0] > 0:
+        _mean_over_levels(scorer)
     else:
         outputs_of(scorer.weights, scorer.sizes, scorer.activation, scorer.now, scorer.after)
 
@@ -119,6 +151,36 @@ def shared_score(world, b, scorer):
     for k in range(count):
         total += scorer.now[world.seen.valid[b, k]]
     return scorer.now[actions] - total / np.float32(max(count, 1))
+
+
+@part
+def _mean_over_levels(scorer):
+    """Mean quantiles of an ``ImplicitQuantileNetwork`` for the observation in ``now``, left there.
+
+    ``after`` has room for three layers: features at a level, what the last hidden layer makes of them, and its sum.
+    """
+    sizes, now, activation = scorer.sizes, scorer.now, scorer.activation
+    layers, widest = sizes.size - 1, scorer.after.size // 3
+    at = 0
+    for layer in range(layers - 2):
+        outputs = scorer.after[: sizes[layer + 1]]
+        at = affine(scorer.weights, at, sizes[layer], now, outputs)
+        activate(outputs, activation)
+        for o in range(outputs.size):
+            now[o] = outputs[o]
+    width, last, actions = sizes[layers - 2], sizes[layers - 1], sizes[layers]
+    features, hidden = scorer.after[:width], scorer.after[widest : widest + last]
+    mean = scorer.after[2 * widest : 2 * widest + last]
+    mean[:] = np.float32(0.0)
+    number, end = scorer.levels.shape[0], at
+    for level in range(number):
+        for i in range(width):
+            features[i] = now[i] * scorer.levels[level, i]
+        end = affine(scorer.weights, at, width, features, hidden)
+        activate(hidden, activation)
+        for o in range(last):
+            mean[o] += hidden[o] / np.float32(number)
+    affine(scorer.weights, end, last, mean, now[:actions])
 
 
 @part

@@ -171,7 +171,7 @@ def compiled_prices(actor: Any) -> Prices | None:
     """The network of ``actor`` as compiled code takes it, None where it is of a kind that torch has to run."""
     scores = scorer(actor) if isinstance(actor, QValueActor) else None
     network: nn.Module | None = None if scores is None else scores.module
-    if not isinstance(network, MenuNetwork) or network.outputs != 1:
+    if type(network) is not MenuNetwork or network.outputs != 1:  # a class derived from it may compute something else
         return None
     try:
         price = compiled_perceptron(network.price)

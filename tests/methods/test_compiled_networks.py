@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nfv_torchrl.evaluation.runner import run_method
-from nfv_torchrl.losses import DQN, IQN, PPO, QuantileDQN, Rainbow, q_network
+from nfv_torchrl.losses import DQN, IQN, PPO, QuantileDQN, Rainbow, greedy_actor, q_network
 from nfv_torchrl.losses.actors import scorer
 from nfv_torchrl.losses.rdpg import RDPG
 from nfv_torchrl.losses.recurrent_dqn import RecurrentDQN
@@ -35,6 +35,8 @@ LOSSES = {
     "quantiles": (QuantileDQN, partial(MLPNetwork, hidden=[16])),
     "rainbow": (Rainbow, partial(DuelingNetwork, hidden=[16, 7], noisy=True)),
     "policy gradient": (PPO, partial(MLPNetwork, hidden=[16])),
+    "implicit quantiles": (IQN, partial(ImplicitQuantileNetwork, hidden=[16, 7], noisy=True)),
+    "their mean": (DQN, partial(ImplicitQuantileNetwork, hidden=[12, 16, 7], activation="Tanh")),
     "memory": (RecurrentDQN, partial(GRUNetwork, hidden=8)),
     "memory of a policy": (RDPG, partial(GRUNetwork, hidden=8)),
 }
@@ -102,10 +104,33 @@ def test_a_horizon_begins_without_memory():
     assert (first.step_node == second.step_node).all()
 
 
-@pytest.mark.parametrize(
-    ("loss", "network"),
-    [(DQN, partial(MLPNetwork, activation="ELU")), (DQN, CandidateNetwork), (IQN, ImplicitQuantileNetwork)],
-)
-def test_others_act_as_ever(loss, network):
-    made = loss(network, Sizes.of(Simulator(SCENARIO, 1)))
-    assert not isinstance(fastest_method(made.actor, q_network(made), one_hot=False), CompiledNetwork)
+class Twisted(MLPNetwork):
+    def forward(self, observation):
+        return -super().forward(observation)
+
+
+class TwistedRows(CandidateNetwork):
+    def forward(self, rows, valid):
+        return -super().forward(rows, valid)
+
+
+@pytest.mark.parametrize("network", [partial(MLPNetwork, activation="ELU"), Twisted, TwistedRows])
+def test_what_may_compute_something_else_acts_through_torch(network):
+    made = DQN(network, Sizes.of(Simulator(SCENARIO, 1)))
+    assert isinstance(fastest_method(made.actor, q_network(made), one_hot=False), PolicyMethod)
+
+
+@pytest.mark.parametrize("network", [MLPNetwork, CandidateNetwork])
+def test_an_actor_that_changes_the_values_acts_through_torch(network):
+    class Doubted(torch.nn.Module):
+        def __init__(self, network):
+            super().__init__()
+            self.network = network
+
+        def forward(self, *inputs):
+            return -self.network(*inputs)
+
+    sizes = Sizes.of(Simulator(SCENARIO, 1))
+    made = network(sizes)
+    actor = greedy_actor(Doubted(made), sizes.actions, made.in_keys)
+    assert isinstance(fastest_method(actor, made, one_hot=False), PolicyMethod)
