@@ -56,7 +56,8 @@ def main(cfg: DictConfig) -> None:
     policy = instantiate(cfg.policy, network=instantiate(cfg.network), sizes=sizes)
     if cfg.init_from is not None:
         load_weights(policy.network, cfg.init_from)
-    tasks = instantiate(config["tasks"], scenario=config["scenario"])
+    # The scenario goes in whole: Hydra would build what it names, such as a generator of networks.
+    tasks = instantiate({**config["tasks"], "_partial_": True})(config["scenario"])
     held_out = tasks.draw(cfg.eval.seed, 0, cfg.eval.tasks)
     arena = Arena(instantiate(cfg.parallel), **cfg.fitness)
     strategy = Strategy(policy.vector(), **cfg.strategy, seed=cfg.seed)

@@ -92,6 +92,11 @@ def blind_bound(
     return relaxation.bound("blind", relaxation.solve().bound)
 
 
+def blind_bound_applies(scenario: Scenario) -> bool:
+    """Whether methods do not see lifetimes, and these are drawn: the bound needs to know from what."""
+    return scenario.workload_path is None and not scenario.observe_lifetime
+
+
 def lifetime_luck(
     scenario: Scenario,
     workload: Workload,

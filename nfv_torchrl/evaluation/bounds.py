@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
+from nfv_torchrl.bounds.bound import blind_bound, blind_bound_applies, hindsight_bound
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.scenario.files import read_run_folder
 from nfv_torchrl.scenario.scenario import Scenario
@@ -22,10 +22,8 @@ def aar_bounds(scenario: Scenario, seed: int) -> dict[str, float]:
     them either, and where they are drawn, since it needs to know from what.
     """
     workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
-    hidden = scenario.workload_path is None and not scenario.observe_lifetime
-    return {
-        name: bound(scenario, workload, timeline).aar for name, bound in BOUNDS.items() if name == "hindsight" or hidden
-    }
+    bounds = BOUNDS if blind_bound_applies(scenario) else {"hindsight": hindsight_bound}
+    return {name: bound(scenario, workload, timeline).aar for name, bound in bounds.items()}
 
 
 def recompute_bound(folder: Path, name: str) -> float:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.bounds.bound import blind_bound, hindsight_bound
+from nfv_torchrl.bounds.bound import blind_bound, blind_bound_applies, hindsight_bound
 from nfv_torchrl.evaluation.statistics import cost_ratio
 from nfv_torchrl.evolution.tasks import Task
 from nfv_torchrl.methods.evolved import Evolvable, Player
@@ -55,8 +55,8 @@ class Arena:
 
     The fitness of a task is (AAR - AAR of ``myopic_optimal``) / (gap + spread) - cost_weight * max(0, paired cost - 1)
     - saving_weight * (paired cost - 1). ``gap`` is what the bound on AAR leaves above ``myopic_optimal`` (the
-    lifetime-blind bound, or that in hindsight where lifetimes are seen): a network with little to win counts as much as
-    one with much.
+    lifetime-blind bound, or that in hindsight where lifetimes are seen or come from a file): a network with little to
+    win counts as much as one with much.
 
     Args:
         workers: who plays, each with simulators of its own; threads serve well, since playing is compiled. What they
@@ -99,7 +99,7 @@ def baseline(task: Task) -> Baseline:
     myopic = float(np.isfinite(costs).mean())
     if myopic == 1.0:
         return Baseline(costs, 0.0)
-    upper = hindsight_bound if task.scenario.observe_lifetime else blind_bound
+    upper = blind_bound if blind_bound_applies(task.scenario) else hindsight_bound
     return Baseline(costs, max(upper(task.scenario, task.workload, task.timeline).aar - myopic, 0.0))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from inprocess import call
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tiny import ROOT
 
 from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
@@ -87,3 +88,23 @@ def test_its_board_shows_rules_bound_walks_and_words(tmp_path):
     )
     assert "An evolution of `PricePolicy`" in page and "`greedy`" in page
     assert standing.startswith("Untrained, the agent accepts")
+
+
+def test_chains_of_a_law_on_generated_networks(tmp_path):
+    laws = (ROOT / "docs/benchmark/chains_0.28.yaml").read_text().replace("num_v_nets: 1000", "num_v_nets: 60")
+    (tmp_path / "laws.yaml").write_text(laws.replace("high: 10}", "high: 4}"))
+    folder = tmp_path / "run"
+    call(
+        "evolution",
+        f"run_dir={folder}",
+        *(override for override in TINY if override not in SCENARIO),
+        "generations=1",
+        "eval.interval=1",
+        "tasks=redrawn_scenarios",
+        "scenario=virne",
+        f"scenario.workload.path={tmp_path / 'laws.yaml'}",
+        "scenario.substrate.generator={_target_: nfv_torchrl.scenario.waxman.draw_waxman, nodes: 8, beta: 1}",
+    )
+    (checkpoint,) = CheckpointFolder(folder).files()
+    # Measured by the gap to the bound in hindsight, since a file tells no law of lifetimes.
+    assert all(max(each) < 1 for each in load_file(checkpoint)["strategy"]["fitness"])
