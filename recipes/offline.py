@@ -32,7 +32,7 @@ from nfv_torchrl.settings.recipes import OfflineSettings, read_settings
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.disk import check_room
-from nfv_torchrl.training.evaluating import evaluate_policy
+from nfv_torchrl.training.evaluating import Evaluator
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import METRICS, RunLogger
@@ -136,13 +136,14 @@ def main(cfg: DictConfig) -> None:
 
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
+    evaluator = Evaluator(scenario, sizes, config, folder, logger)
     evaluations = Evaluations(cfg.eval.interval, cfg.learner.updates)
     bar = ProgressBar(total=cfg.learner.updates, initial=progress.updates, unit="update", pauses=evaluations.count)
     folder.load_random_numbers(state)  # making the parts above drew some
 
     if not progress.updates and evaluations.due(0):
         with bar.pause():
-            evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)  # untrained
+            evaluator.evaluate(loss, progress)  # untrained
     with StopRequest() as stop:
         while progress.updates < cfg.learner.updates and not stop.asked:
             started = time.perf_counter()
@@ -161,7 +162,7 @@ def main(cfg: DictConfig) -> None:
                 bar.say(f"loss {metrics['train/loss']:.4f}  best AAR {max(progress.best_aar, 0):.3f}")
             if evaluations.due(progress.updates):
                 with bar.pause():
-                    evaluate_policy(loss, scenario, sizes, config, folder, logger, progress)
+                    evaluator.evaluate(loss, progress)
             if progress.updates % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
             bar.update()

@@ -27,7 +27,7 @@ from nfv_torchrl.settings.recipes import PolicyGradientSettings, read_settings
 from nfv_torchrl.training.cli import recipe
 from nfv_torchrl.training.collecting import World
 from nfv_torchrl.training.disk import check_room
-from nfv_torchrl.training.evaluating import evaluate_policy
+from nfv_torchrl.training.evaluating import Evaluator
 from nfv_torchrl.training.finite import check_learning
 from nfv_torchrl.training.learner import gradient_step
 from nfv_torchrl.training.logger import METRICS, RunLogger
@@ -80,13 +80,14 @@ def main(cfg: DictConfig) -> None:
     folder.open()  # after all that may be refused: an older run there is set aside
     logger = RunLogger(folder, progress)
     logger.start(OmegaConf.to_yaml(cfg, resolve=True), config, METRICS)
+    evaluator = Evaluator(scenario, sizes, config, folder, logger, method)
     evaluations = Evaluations(cfg.eval.interval, iterations)
     bar = ProgressBar(total=cfg.collector.total_frames, initial=progress.frames, unit="frame", pauses=evaluations.count)
     folder.load_random_numbers(state)  # making the parts above drew some
 
     if not progress.iteration and evaluations.due(0):
         with bar.pause():
-            evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)  # untrained
+            evaluator.evaluate(loss, progress)  # untrained
     with StopRequest() as stop:
         while progress.frames < cfg.collector.total_frames and not stop.asked:
             collector.send_policy()
@@ -112,7 +113,7 @@ def main(cfg: DictConfig) -> None:
                 bar.say(logger.iteration(progress, window, data, learning))
             if evaluations.due(progress.iteration):
                 with bar.pause():
-                    evaluate_policy(loss, scenario, sizes, config, folder, logger, progress, method)
+                    evaluator.evaluate(loss, progress)
             if progress.iteration % cfg.saving.interval == 0:
                 folder.save(state, progress.frames)
             bar.reach(progress.frames)

@@ -12,7 +12,6 @@ from nfv_torchrl.codec import decode_action
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.records import FORWARD, NO_ACTION, REJECT, RunRecord
 from nfv_torchrl.methods import MayStop, Method, WholePlay, WholeWalks
-from nfv_torchrl.scenario.failures import FailureTimeline
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.workload import Workload
 from nfv_torchrl.simulator import Simulator
@@ -109,7 +108,16 @@ def _run_together(
     unproved = [None] * len(seeds) if counts is None else counts.tolist()
     shares = [seconds * len(workload) / max(requests, 1) for workload in workloads]
     return [
-        _record(simulator, b, method.name, seed, workload, timeline, shares[b], unproved[b])
+        RunRecord(
+            method=method.name,
+            workload_seed=seed,
+            scenario=simulator.scenario(b),
+            workload=workload,
+            timeline=timeline,
+            seconds=shares[b],
+            unproved=unproved[b],
+            **_answers(simulator, b, workload),
+        )
         for b, (seed, workload, timeline) in enumerate(zip(seeds, workloads, timelines, strict=True))
     ]
 
@@ -169,17 +177,8 @@ def _play_whole(
     return clock() - begun
 
 
-def _record(
-    simulator: Simulator,
-    b: int,
-    name: str,
-    seed: int,
-    workload: Workload,
-    timeline: FailureTimeline,
-    seconds: float,
-    unproved: int | None,
-) -> RunRecord:
-    """What environment b answered, as arrays of its own."""
+def _answers(simulator: Simulator, b: int, workload: Workload) -> dict[str, np.ndarray]:
+    """What environment b answered, as arrays of its own: fields of a ``RunRecord``."""
     log, requests = simulator.world.log, len(workload)
     offsets = log.start[b, : requests + 1].copy()
     _, nodes, vms, _ = simulator.tables.vm_capacity.shape
@@ -188,25 +187,18 @@ def _record(
         chain = simulator.tables.chain_length[workload.profile]
         function[function >= np.repeat(chain, np.diff(offsets))] = FORWARD
     reason = log.reason[b, :requests].copy()
-    return RunRecord(
-        method=name,
-        workload_seed=seed,
-        scenario=simulator.scenario(b),
-        workload=workload,
-        timeline=timeline,
-        accepted=reason == NO_REASON,
-        reason=reason,
-        delay_ms=log.delay[b, :requests].copy(),
-        cost=log.cost[b, :requests].copy(),
-        hops=log.hops[b, :requests].astype(np.int64),
-        interrupted_at=log.interrupted_at[b, :requests].astype(np.int64),
-        step_offsets=offsets,
-        step_node=node,
-        step_vm=vm,
-        step_function=function,
-        seconds=seconds,
-        unproved=unproved,
-    )
+    return {
+        "accepted": reason == NO_REASON,
+        "reason": reason,
+        "delay_ms": log.delay[b, :requests].copy(),
+        "cost": log.cost[b, :requests].copy(),
+        "hops": log.hops[b, :requests].astype(np.int64),
+        "interrupted_at": log.interrupted_at[b, :requests].astype(np.int64),
+        "step_offsets": offsets,
+        "step_node": node,
+        "step_vm": vm,
+        "step_function": function,
+    }
 
 
 def _steps(actions: np.ndarray, offsets: np.ndarray, nodes: int, vms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,84 +38,105 @@ STEPS = ("place", "forward", "stay", "reject")
 """What a step of a walk can be: a hop with a placement, a hop alone, a placement where the walk is, a refusal."""
 
 
-def evaluate_policy(
-    loss: Any,
-    scenario: Scenario,
-    sizes: Sizes,
-    config: Mapping[str, Any],
-    folder: RunFolder,
-    logger: RunLogger,
-    progress: Progress,
-    method: Callable[[], Method] | None = None,
-) -> None:
-    """Act greedily on held-out workloads, log what came of it, and keep the policy if it is the best so far.
-
-    ``method`` makes what acts by the loss's actor as it is now: by default ``fastest_method``. No random number of the
-    training is drawn, so that how often a run is evaluated changes nothing of what it learns.
+@dataclass(frozen=True)
+class Evaluator:
+    """The evaluations of a training: what they run on, and where what comes of them goes.
 
     Best means the highest AAR; among equals the lowest cost per accepted request. With ``eval.networks`` it means the
     highest score on those networks (``HeldOut``). The untrained policy (frame 0) is never kept.
 
-    Raises:
-        TrainingError: weights are not finite; ``best.pt`` stays.
+    Args:
+        scenario: whose workloads ``eval.seeds`` are.
+        sizes: sizes that the policy was made for.
+        config: the recipe's config.
+        folder: of the run.
+        logger: of the run.
+        method: makes what acts by the loss's actor as it is now; None: ``fastest_method``.
     """
-    logger.clock.stop()
-    check_weights(loss, "loss", progress)
-    seeds, frames = list_of_seeds("eval.seeds", config["eval"]["seeds"]), progress.frames
-    references = _references(logger, folder, scenario, seeds) if config["logger"]["references"] else None
-    begun = time.perf_counter()
-    acting, records = _act(loss, scenario, seeds, config["one_hot"], method)
-    scores = mean_metrics(records)
-    values = _tags(scores, records, acting)
-    if references is not None:
-        values |= _compare(references, records, logger, frames)
-    values |= (held_out := _held_out(logger, config, acting))
-    values["speed/evaluation_seconds"] = time.perf_counter() - begun
-    values["speed/processor_seconds"] = logger.clock.seconds
-    logger.scalars(values, frames)
-    logger.scalars(_stacked(scores, logger), frames)
-    _histograms(loss, acting, records, logger, frames)
-    if not logger.resumed and not progress.frames:
-        logger.text("1 what you see", what_you_see(scenario, config, references), frames)
-    logger.text("2 how it stands", standing(scores, values, references, frames), frames)
-    if config["logger"]["figures"]:
-        draw_pictures(records[0], references, logger, frames)
-    if frames:
-        _keep_best(loss, scenario, sizes, config, folder, progress, scores, held_out)
-    logger.clock.start()
 
+    scenario: Scenario
+    sizes: Sizes
+    config: Mapping[str, Any]
+    folder: RunFolder
+    logger: RunLogger
+    method: Callable[[], Method] | None = None
 
-def _held_out(logger: RunLogger, config: Mapping[str, Any], acting: Method) -> dict[str, float]:
-    """Scores on the networks of ``eval.networks``, by tag; what they are compared with is computed once."""
-    if not logger.held_out:
-        logger.held_out = [HeldOut.of(config)]
-    found = logger.held_out[0]
-    return {} if found is None else {f"eval/{name}": value for name, value in found.scores(acting).items()}
+    def evaluate(self, loss: Any, progress: Progress) -> None:
+        """Act greedily on held-out workloads, log what came of it, and keep the policy if it is the best so far.
 
+        No random number of the training is drawn, so that how often a run is evaluated changes nothing of what it
+        learns.
 
-def _references(logger: RunLogger, folder: RunFolder, scenario: Scenario, seeds: Sequence[int]) -> References:
-    """Those of the run, computed once; a line shows how far that is."""
-    if logger.references is None:
-        expected = sum(len(scenario.workload(seed)) for seed in seeds) * len(reference_methods())
-        with ProgressBar(total=expected, desc="references", unit="request") as bar:
-            logger.references = References.of(folder.path, scenario, seeds, bar.update)
-    return logger.references
+        Raises:
+            TrainingError: weights are not finite; ``best.pt`` stays.
+        """
+        logger, config, frames = self.logger, self.config, progress.frames
+        logger.clock.stop()
+        check_weights(loss, "loss", progress)
+        seeds = list_of_seeds("eval.seeds", config["eval"]["seeds"])
+        references = self._references(seeds) if config["logger"]["references"] else None
+        begun = time.perf_counter()
+        acting, records = self._act(loss, seeds)
+        scores = mean_metrics(records)
+        values = _tags(scores, records, acting)
+        if references is not None:
+            values |= _compare(references, records, logger, frames)
+        values |= (held_out := self._held_out(acting))
+        values["speed/evaluation_seconds"] = time.perf_counter() - begun
+        values["speed/processor_seconds"] = logger.clock.seconds
+        logger.scalars(values, frames)
+        logger.scalars(_stacked(scores, logger), frames)
+        _histograms(loss, acting, records, logger, frames)
+        if not logger.resumed and not frames:
+            logger.text("1 what you see", what_you_see(self.scenario, config, references), frames)
+        logger.text("2 how it stands", standing(scores, values, references, frames), frames)
+        if config["logger"]["figures"]:
+            draw_pictures(records[0], references, logger, frames)
+        if frames:
+            self._keep_best(loss, progress, scores, held_out)
+        logger.clock.start()
 
+    def _held_out(self, acting: Method) -> dict[str, float]:
+        """Scores on the networks of ``eval.networks``, by tag; what they are compared with is computed once."""
+        if not self.logger.held_out:
+            self.logger.held_out = [HeldOut.of(self.config)]
+        found = self.logger.held_out[0]
+        return {} if found is None else {f"eval/{name}": value for name, value in found.scores(acting).items()}
 
-def _act(
-    loss: Any, scenario: Scenario, seeds: Sequence[int], one_hot: bool, method: Callable[[], Method] | None
-) -> tuple[Method, list[RunRecord]]:
-    """What the policy does on every workload, and the method by which it did; loss and device stay as they were."""
-    actor = loss.actor
-    device = next(actor.parameters()).device
-    actor.eval()  # noisy networks act by their mean weights
-    actor.to("cpu")
-    acting = method() if method else fastest_method(actor, q_network(loss), one_hot=one_hot)
-    with torch.random.fork_rng(devices=[]):  # a network may draw to act; the training goes on as if it had not
-        records = run_method(scenario, acting, seeds)
-    actor.to(device)
-    actor.train()
-    return acting, records
+    def _references(self, seeds: Sequence[int]) -> References:
+        """Those of the run, computed once; a line shows how far that is."""
+        if self.logger.references is None:
+            expected = sum(len(self.scenario.workload(seed)) for seed in seeds) * len(reference_methods())
+            with ProgressBar(total=expected, desc="references", unit="request") as bar:
+                self.logger.references = References.of(self.folder.path, self.scenario, seeds, bar.update)
+        return self.logger.references
+
+    def _act(self, loss: Any, seeds: Sequence[int]) -> tuple[Method, list[RunRecord]]:
+        """What the policy does on every workload, and the method by which it did; loss and device stay as they were."""
+        actor = loss.actor
+        device = next(actor.parameters()).device
+        actor.eval()  # noisy networks act by their mean weights
+        actor.to("cpu")
+        acting = (
+            self.method() if self.method else fastest_method(actor, q_network(loss), one_hot=self.config["one_hot"])
+        )
+        with torch.random.fork_rng(devices=[]):  # a network may draw to act; the training goes on as if it had not
+            records = run_method(self.scenario, acting, seeds)
+        actor.to(device)
+        actor.train()
+        return acting, records
+
+    def _keep_best(
+        self, loss: Any, progress: Progress, scores: Mapping[str, float], held_out: Mapping[str, float]
+    ) -> None:
+        aar, cost = scores["aar"], scores["cost_per_accepted"]
+        if held_out:
+            aar, cost = held_out["eval/held_out_score"], held_out["eval/held_out_paired_cost"]
+        if (aar, -cost) > (progress.best_aar, -progress.best_cost):
+            progress.best_aar, progress.best_cost, progress.best_frames = aar, cost, progress.frames
+            known = {name: scores[name] for name in ("aar", "cost_per_accepted")}
+            known |= {tag.removeprefix("eval/"): value for tag, value in held_out.items()}
+            self.folder.save_best(policy_content(loss, self.sizes, self.config, self.scenario, known))
 
 
 def _tags(scores: Mapping[str, float], records: Sequence[RunRecord], acting: Method) -> dict[str, float]:
@@ -201,24 +223,3 @@ def draw_pictures(record: RunRecord, references: References | None, logger: RunL
         both = {"agent": walk_of(record, request), EXACT: exact}
         figure = draw_walks(record.scenario, title_of(record, request), both)
         logger.figure(f"walks/{number} {service}", figure, frames)
-
-
-def _keep_best(
-    loss: Any,
-    scenario: Scenario,
-    sizes: Sizes,
-    config: Mapping[str, Any],
-    folder: RunFolder,
-    progress: Progress,
-    scores: Mapping[str, float],
-    held_out: Mapping[str, float],
-) -> None:
-    aar, cost = scores["aar"], scores["cost_per_accepted"]
-    if held_out:
-        aar, cost = held_out["eval/held_out_score"], held_out["eval/held_out_paired_cost"]
-    if (aar, -cost) > (progress.best_aar, -progress.best_cost):
-        progress.best_aar, progress.best_cost, progress.best_frames = aar, cost, progress.frames
-        known = {name: scores[name] for name in ("aar", "cost_per_accepted")}
-        known |= {tag.removeprefix("eval/"): value for tag, value in held_out.items()}
-        content = policy_content(loss, sizes, config, scenario, known)
-        folder.save_best(content)

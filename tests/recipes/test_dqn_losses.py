@@ -20,7 +20,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.tensor_files import load_file
 from nfv_torchrl.training.checkpoint import CheckpointFolder
-from nfv_torchrl.training.evaluating import evaluate_policy
+from nfv_torchrl.training.evaluating import Evaluator
 from nfv_torchrl.training.logger import RunLogger
 from nfv_torchrl.training.progress import Progress
 from nfv_torchrl.vocabulary import without_row
@@ -118,8 +118,9 @@ def test_noise_is_off_in_an_evaluation_and_back_after_it(tmp_path):
     logger.scalars = lambda values, frames: logged.append(values)
     torch.manual_seed(0)
     drawn = torch.get_rng_state()
+    evaluator = Evaluator(scenario, sizes, config, folder, logger)
     for _ in range(2):
-        evaluate_policy(loss, scenario, sizes, config, folder, logger, Progress())
+        evaluator.evaluate(loss, Progress())
     logger.close()
     assert torch.equal(torch.get_rng_state(), drawn)
     assert loss.actor.training and all(module.training for module in loss.actor.modules())
