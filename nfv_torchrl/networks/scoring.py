@@ -104,7 +104,8 @@ def _implicit(network: ImplicitQuantileNetwork, batch: int) -> CompiledScorer:
     )
     with torch.no_grad():
         levels = network.embed(middles(network.number)).cpu().numpy()
-    return made._replace(levels=levels, after=np.zeros(3 * int(made.sizes.max()), np.float32))
+    room = max(int(made.sizes.max()), (len(levels) + 1) * int(made.sizes[-2]))
+    return made._replace(levels=levels, after=np.zeros(room, np.float32))
 
 
 def _remembering(network: GRUNetwork, batch: int, output: int | None) -> CompiledScorer:
@@ -157,30 +158,40 @@ def shared_score(world, b, scorer):
 def _mean_over_levels(scorer):
     """Mean quantiles of an ``ImplicitQuantileNetwork`` for the observation in ``now``, left there.
 
-    ``after`` has room for three layers: features at a level, what the last hidden layer makes of them, and its sum.
+    ``after`` has room for a layer, for the last hidden layer at each level, and for the mean of these.
     """
-    sizes, now, activation = scorer.sizes, scorer.now, scorer.activation
-    layers, widest = sizes.size - 1, scorer.after.size // 3
+    weights, sizes, now, after = scorer.weights, scorer.sizes, scorer.now, scorer.after
+    layers, number = sizes.size - 1, scorer.levels.shape[0]
     at = 0
     for layer in range(layers - 2):
-        outputs = scorer.after[: sizes[layer + 1]]
-        at = affine(scorer.weights, at, sizes[layer], now, outputs)
-        activate(outputs, activation)
+        outputs = after[: sizes[layer + 1]]
+        at = affine(weights, at, sizes[layer], now, outputs)
+        activate(outputs, scorer.activation)
         for o in range(outputs.size):
             now[o] = outputs[o]
     width, last, actions = sizes[layers - 2], sizes[layers - 1], sizes[layers]
-    features, hidden = scorer.after[:width], scorer.after[widest : widest + last]
-    mean = scorer.after[2 * widest : 2 * widest + last]
-    mean[:] = np.float32(0.0)
-    number, end = scorer.levels.shape[0], at
+    end = at + width * last
+    hidden = after[: number * last].reshape(number, last)
     for level in range(number):
-        for i in range(width):
-            features[i] = now[i] * scorer.levels[level, i]
-        end = affine(scorer.weights, at, width, features, hidden)
-        activate(hidden, activation)
         for o in range(last):
-            mean[o] += hidden[o] / np.float32(number)
-    affine(scorer.weights, end, last, mean, now[:actions])
+            hidden[level, o] = weights[end + o]
+    # A row of weights serves all levels while it is at hand.
+    for i in range(width):
+        if now[i] != 0.0:
+            row = weights[at + i * last : at + (i + 1) * last]
+            for level in range(number):
+                value = now[i] * scorer.levels[level, i]
+                if value != 0.0:
+                    sums = hidden[level]
+                    for o in range(last):
+                        sums[o] += row[o] * value
+    mean = after[number * last : (number + 1) * last]
+    mean[:] = np.float32(0.0)
+    for level in range(number):
+        activate(hidden[level], scorer.activation)
+        for o in range(last):
+            mean[o] += hidden[level, o] / np.float32(number)
+    affine(weights, end + last, last, mean, now[:actions])
 
 
 @part
