@@ -151,7 +151,7 @@ class CompiledNetwork:
     score, whole horizons in a call.
 
     The same choice as that of ``PolicyMethod``, but for scores that agree to within rounding. The weights are those at
-    the time it is made. A memory is zero when a horizon begins.
+    the time it is made.
 
     Args:
         network: what decides: see ``compiled_scorer``.
@@ -180,7 +180,7 @@ class CompiledNetwork:
     ) -> None:
         self.name, self.one_hot = name, one_hot
         self.mask, self.decides_admission = mask, decides_admission
-        self._scorer = compiled_scorer(network, 1, output)
+        self._scorer = compiled_scorer(network, output)
         self.watch = Watch()
 
     def prepare(self, simulator: Simulator, seeds: Sequence[int]) -> None:
@@ -201,7 +201,6 @@ class CompiledNetwork:
     def play(self, simulator: Simulator, b: int) -> None:
         """Answer all requests of environment b, whose horizon has begun."""
         values, over, steps = np.full((MOST, 2), np.nan, np.float32), False, 0
-        self._scorer.memory[b] = 0.0
         while not over:
             over, steps = play_highest(simulator.world, b, self._scorer, steps, values)
             if not over:

@@ -43,33 +43,32 @@ class CompiledScorer(NamedTuple):
     after: np.ndarray
 
 
-def compiled_scorer(network: QNetwork, batch: int, output: int | None = None) -> CompiledScorer:
-    """A network that scores every action of each of ``batch`` environments; noise is left out.
+def compiled_scorer(network: QNetwork, output: int | None = None) -> CompiledScorer:
+    """A network that scores every action; noise is left out, and a memory is that of one environment, zero.
 
     Args:
         network: an ``MLPNetwork``, ``DuelingNetwork``, ``ImplicitQuantileNetwork`` or ``GRUNetwork``.
-        batch: B; memories are zero.
         output: which of several outputs per action is the score; None: their mean.
 
     Raises:
         ScenarioError: another network, or another activation than ReLU and Tanh.
     """
     if type(network) is GRUNetwork:  # and no class derived from it, which may compute something else
-        return _remembering(network, batch, output)
+        return _remembering(network, output)
     if type(network) is ImplicitQuantileNetwork and output is None:
-        return _implicit(network, batch)
+        return _implicit(network)
     if type(network) is MLPNetwork:
         *hidden, last = layers_of(network.layers)
         layers = [*hidden, _scoring(last, network.outputs, output)]
-        return _perceptron(layers, activation_of(network.layers), batch)
+        return _perceptron(layers, activation_of(network.layers))
     if type(network) is DuelingNetwork:
-        return _perceptron(_joined(network, output), activation_of(network.advantage), batch)
+        return _perceptron(_joined(network, output), activation_of(network.advantage))
     raise ScenarioError(f"network: {type(network).__name__} has no compiled form")
 
 
-def _perceptron(layers: list[Layer], activation: int, batch: int) -> CompiledScorer:
+def _perceptron(layers: list[Layer], activation: int) -> CompiledScorer:
     made = compiled_layers(layers, activation)
-    memory, levels = np.zeros((batch, 0), np.float32), np.zeros((0, 0), np.float32)
+    memory, levels = np.zeros((1, 0), np.float32), np.zeros((0, 0), np.float32)
     return CompiledScorer(made.weights, made.sizes, made.activation, memory, levels, made.now, made.after)
 
 
@@ -95,12 +94,11 @@ def _side_by_side(left: Tensor, right: Tensor) -> Tensor:
     return nn.functional.pad(left, (0, right.shape[-1])) + nn.functional.pad(right, (left.shape[-1], 0))
 
 
-def _implicit(network: ImplicitQuantileNetwork, batch: int) -> CompiledScorer:
+def _implicit(network: ImplicitQuantileNetwork) -> CompiledScorer:
     """As a perceptron whose last hidden layer is run at each level; its mean goes into the last layer, once."""
     made = _perceptron(
         [*layers_of(network.state[0]), *layers_of(network.quantiles)],  # type: ignore[arg-type]
         activation_of(network.quantiles),
-        batch,
     )
     with torch.no_grad():
         levels = network.embed(middles(network.number)).cpu().numpy()
@@ -108,20 +106,17 @@ def _implicit(network: ImplicitQuantileNetwork, batch: int) -> CompiledScorer:
     return made._replace(levels=levels, after=np.zeros(room, np.float32))
 
 
-def _remembering(network: GRUNetwork, batch: int, output: int | None) -> CompiledScorer:
+def _remembering(network: GRUNetwork, output: int | None) -> CompiledScorer:
     cell = network.cell
     gates = [(cell.weight_ih.T, cell.bias_ih), (cell.weight_hh.T, cell.bias_hh)]
     values = _scoring(layers_of([network.values])[0], network.outputs, output)
-    made = compiled_layers([*layers_of(network.encode), *gates, values], RELU)
+    made = _perceptron([*layers_of(network.encode), *gates, values], RELU)
     observation, hidden, actions = made.sizes[0], network.hidden, made.sizes[-1]
-    return CompiledScorer(
-        made.weights,
-        np.array([observation, hidden, actions]),
-        made.activation,
-        np.zeros((batch, hidden), np.float32),
-        np.zeros((0, 0), np.float32),
-        np.zeros(max(observation, 6 * hidden, actions), np.float32),
-        np.zeros(2 * hidden, np.float32),
+    return made._replace(
+        sizes=np.array([observation, hidden, actions]),
+        memory=np.zeros((1, hidden), np.float32),
+        now=np.zeros(max(observation, 6 * hidden, actions), np.float32),
+        after=np.zeros(2 * hidden, np.float32),
     )
 
 

@@ -130,7 +130,12 @@ def test_an_actor_that_changes_the_values_acts_through_torch(network):
         def forward(self, *inputs):
             return -self.network(*inputs)
 
-    sizes = Sizes.of(Simulator(SCENARIO, 1))
-    made = network(sizes)
+    made = network(sizes := Sizes.of(Simulator(SCENARIO, 1)))
     actor = greedy_actor(Doubted(made), sizes.actions, made.in_keys)
+    assert isinstance(fastest_method(actor, made, one_hot=False), PolicyMethod)
+
+
+def test_an_actor_that_reads_other_keys_acts_through_torch():
+    made = MLPNetwork(sizes := Sizes.of(Simulator(SCENARIO, 1)))
+    actor = greedy_actor(made, sizes.actions, ["features"])
     assert isinstance(fastest_method(actor, made, one_hot=False), PolicyMethod)
