@@ -87,21 +87,19 @@ def test_the_values_that_decided_are_those_of_the_network(kind):
         simulator.step(actions)
 
 
-@pytest.mark.parametrize("kind", ["dueling", "memory"])
+@pytest.mark.parametrize("kind", ["memory", "memory of a policy"])
 def test_environments_side_by_side_keep_memories_of_their_own(kind):
-    methods = both_methods(kind)
-    simulators = [started(method) for method in methods]
+    compiled, slow = both_methods(kind)
+    simulators = [started(method) for method in (compiled, slow)]
+    assert not compiled._scorer.memory.any()  # preparing took a step
     for _ in range(100):
-        actions = [method.act(simulator) for method, simulator in zip(methods, simulators, strict=True)]
+        actions = [method.act(simulator) for method, simulator in zip((compiled, slow), simulators, strict=True)]
         assert (actions[0] == actions[1]).all()
+        assert np.allclose(compiled._scorer.memory, slow._carried.get("memory"), atol=1e-5)
         for simulator in simulators:
             simulator.step(actions[0])
-
-
-def test_a_horizon_begins_without_memory():
-    compiled, _ = both_methods("memory")
-    first, second = (run_method(SCENARIO, compiled, [0])[0] for _ in range(2))
-    assert (first.step_node == second.step_node).all()
+    started(compiled)
+    assert not compiled._scorer.memory.any()  # a run begins without that of the run before
 
 
 class Twisted(MLPNetwork):
