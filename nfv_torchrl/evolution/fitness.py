@@ -64,6 +64,8 @@ class Arena:
         cost_weight: for every unit by which the paired cost exceeds that of ``myopic_optimal``.
         saving_weight: for the paired cost itself, above or below.
         spread: keeps the division tame where there is hardly a gap.
+        bound: measure gains against the gap. Without it the gap counts as 0, and gains are divided by ``spread`` alone:
+            for scenarios where the bound's linear programme takes longer than all plays.
     """
 
     def __init__(
@@ -73,13 +75,15 @@ class Arena:
         cost_weight: float = 1.0,
         saving_weight: float = 0.05,
         spread: float = 0.01,
+        bound: bool = True,
     ) -> None:
         self.workers = Joblib(jobs=1) if workers is None else workers
         self.weights = Weights(cost_weight, saving_weight, spread)
+        self.bound = bound
 
     def baselines(self, tasks: Sequence[Task]) -> list[Baseline]:
         """What ``myopic_optimal`` does on every task."""
-        return list(self.workers.map(baseline, tasks))
+        return list(self.workers.map(partial(baseline, bound=self.bound), tasks))
 
     def scores(
         self, policies: Sequence[Evolvable], tasks: Sequence[Task], baselines: Sequence[Baseline] | None = None
@@ -93,11 +97,11 @@ class Arena:
         return [flat[first : first + size] for first in range(0, len(flat), size)]
 
 
-def baseline(task: Task) -> Baseline:
-    """What ``myopic_optimal`` does on a task."""
+def baseline(task: Task, bound: bool = True) -> Baseline:
+    """What ``myopic_optimal`` does on a task; ``bound``: see ``Arena``."""
     costs = costs_of(LearnedPrices(PriceNetwork().weights()), task)
     myopic = float(np.isfinite(costs).mean())
-    if myopic == 1.0:
+    if myopic == 1.0 or not bound:
         return Baseline(costs, 0.0)
     upper = blind_bound if blind_bound_applies(task.scenario) else hindsight_bound
     return Baseline(costs, max(upper(task.scenario, task.workload, task.timeline).aar - myopic, 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -55,15 +56,23 @@ class Redrawn:
     Args:
         scenario: the recipe's scenario config.
         draws: what one training goes through, each horizon one of them.
+        workloads: files of requests or of their laws, for the draws in turn, such as those of several loads; None: the
+            scenario's own.
 
     Raises:
-        ScenarioError: no draw.
+        ScenarioError: no draw, or an empty list of files.
     """
 
-    def __init__(self, scenario: Mapping[str, Any], *, draws: int = 32) -> None:
+    def __init__(self, scenario: Mapping[str, Any], *, draws: int = 32, workloads: Sequence[str] | None = None) -> None:
         if draws < 1:
             raise ScenarioError(f"networks.draws: {draws}; use at least 1")
-        self.base, self.draws = dict(scenario), draws
+        if workloads is not None and not workloads:
+            raise ScenarioError("workloads: is empty; name at least one file, or null for the scenario's own")
+        self.draws = draws
+        own = dict(scenario.get("workload") or {})
+        self.bases = [
+            {**scenario, "workload": own if path is None else {**own, "path": path}} for path in workloads or [None]
+        ]
 
     def draw(self, seed: int, generation: int, count: int) -> list[Task]:
         """``count`` tasks, always the same for the same arguments."""
@@ -77,7 +86,8 @@ class Redrawn:
     def _drawn(self, seed: int, generation: int, count: int) -> list[Scenario]:
         numbers = [generator(seed, Stream.NETWORKS, generation, k) for k in range(count)]
         seeds = [int(rng.integers(FIRST_SCENARIO_SEED, 2**31)) for rng in numbers]
-        return [Scenario.from_config({**self.base, "seed": number}) for number in seeds]
+        bases = itertools.cycle(self.bases)
+        return [Scenario.from_config({**base, "seed": number}) for base, number in zip(bases, seeds, strict=False)]
 
 
 class RandomNetworks:

@@ -23,6 +23,7 @@ from nfv_torchrl.networks import CandidateNetwork, NetworkFactory, Sizes
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.settings.values import Count
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.state import World
 
@@ -85,17 +86,25 @@ class PricePolicy(Evolvable):
     Args:
         network: factory of a ``PriceNetwork``; it is called without sizes, as it fits any network.
         sizes: not used; any policy is made with them.
+        labels: limit on the exact search for one request, see ``ExactPlanner``. None: no limit.
+
+    Raises:
+        ScenarioError: labels < 1.
     """
 
     network: PriceNetwork
 
-    def __init__(self, network: Callable[[], PriceNetwork], sizes: Sizes | None = None) -> None:
+    def __init__(
+        self, network: Callable[[], PriceNetwork], sizes: Sizes | None = None, *, labels: Count | None = None
+    ) -> None:
         super().__init__()
         self.network = network()
+        self.labels = labels
+        self._planner()  # refuses a limit that is none
 
     def player(self) -> Player:
         """See ``Evolvable``."""
-        return LearnedPrices(self.network.weights())
+        return self._planner()
 
     def settings(self, scenario: Scenario) -> Scenario:
         """The scenario with ``admission_control``, since refusals are decisions of the policy."""
@@ -103,7 +112,10 @@ class PricePolicy(Evolvable):
 
     def method(self, name: str) -> PlannerMethod:
         """See ``Evolvable``."""
-        return PlannerMethod(LearnedPrices(self.network.weights()), name=name)
+        return PlannerMethod(self._planner(), name=name)
+
+    def _planner(self) -> LearnedPrices:
+        return LearnedPrices(self.network.weights(), labels=self.labels)
 
 
 class CandidatePolicy(Evolvable):

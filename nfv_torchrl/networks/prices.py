@@ -39,13 +39,25 @@ class PriceHead(nn.Module):
     Args:
         features: F.
         hidden: neurons H of the hidden layer; 0 leaves a linear function.
+        learned: whether its weights are parameters; otherwise they stay as they begin, or as a policy file has them.
     """
 
-    def __init__(self, features: int, hidden: int) -> None:
+    linear: Tensor
+    hidden: Tensor
+    out: Tensor
+
+    def __init__(self, features: int, hidden: int, *, learned: bool = True) -> None:
         super().__init__()
-        self.linear = nn.Parameter(torch.zeros(features + 1))
-        self.hidden = nn.Parameter(torch.randn(hidden, features + 1) / (features + 1) ** 0.5)
-        self.out = nn.Parameter(torch.zeros(hidden))
+        weights = {
+            "linear": torch.zeros(features + 1),
+            "hidden": torch.randn(hidden, features + 1) / (features + 1) ** 0.5,
+            "out": torch.zeros(hidden),
+        }
+        for name, values in weights.items():
+            if learned:
+                self.register_parameter(name, nn.Parameter(values))
+            else:
+                self.register_buffer(name, values)
 
     def forward(self, x: Tensor) -> Tensor:
         """The values of the function."""
@@ -62,6 +74,8 @@ class PriceNetwork(nn.Module):
     Args:
         hidden: neurons of the hidden layer of each of the three functions.
         begin: ``myopic_optimal`` (all zero), ``priced`` or ``priced_admit``: near the hand-tuned rule of that name.
+        learn_prices: whether prices are learned too. If not, they stay as they begin and only the refusal is learned: a
+            tenth of the work where searches at raised prices are slow.
         price_unit: prices and priced costs are in this many mean unit costs of the network's VMs, so it says how large
             the steps of a search are.
 
@@ -71,7 +85,14 @@ class PriceNetwork(nn.Module):
 
     any_size = True
 
-    def __init__(self, *, hidden: Neurons = 0, begin: Beginning = "myopic_optimal", price_unit: Positive = 4.0) -> None:
+    def __init__(
+        self,
+        *,
+        hidden: Neurons = 0,
+        begin: Beginning = "myopic_optimal",
+        learn_prices: bool = True,
+        price_unit: Positive = 4.0,
+    ) -> None:
         super().__init__()
         if hidden < 0:
             raise ScenarioError(f"network.hidden: {hidden}; use 0 (linear functions) or more")
@@ -80,8 +101,8 @@ class PriceNetwork(nn.Module):
         if begin not in BEGINNINGS:
             raise ScenarioError(f"network.begin: {begin!r}; use one of {', '.join(BEGINNINGS)}")
         self.price_unit = float(price_unit)
-        self.vm = PriceHead(len(VM), hidden)
-        self.link = PriceHead(len(LINK), hidden)
+        self.vm = PriceHead(len(VM), hidden, learned=learn_prices)
+        self.link = PriceHead(len(LINK), hidden, learned=learn_prices)
         self.admit = PriceHead(len(ADMIT), hidden)
         if begin in RULES:
             self._begin_at(RULES[begin])

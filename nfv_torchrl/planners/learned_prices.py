@@ -14,9 +14,9 @@ import numpy as np
 
 from nfv_torchrl.codec import decode_action
 from nfv_torchrl.columns import columns
-from nfv_torchrl.planners.base import CompiledPlanner, over_rows
+from nfv_torchrl.planners.base import ExactPlanner, over_rows
 from nfv_torchrl.scenario.units import LEDGER_UNITS
-from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.search.cheapest import Scratch, grow_scratch, plan_cheapest
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW, Prices
 from nfv_torchrl.simulator import Simulator
@@ -328,24 +328,28 @@ def play_learned(world, b, own, plan, costs):
     return FINISHED
 
 
-class LearnedPrices(CompiledPlanner):
+class LearnedPrices(ExactPlanner):
     """Plans requests, or plays whole horizons in one compiled call.
 
     Args:
         weights: of the three functions, such as ``PriceNetwork.weights()``.
+        labels: limit on the search for one request, see ``ExactPlanner``. None: no limit.
+
+    Raises:
+        ScenarioError: labels < 1.
     """
 
     own: LearnedScratch
     kernel = over_rows(plan_learned)
 
-    def __init__(self, weights: PriceWeights) -> None:
-        super().__init__()
+    def __init__(self, weights: PriceWeights, *, labels: int | None = None) -> None:
+        super().__init__(labels)
         self.weights = weights
 
     def make(self, tables: Tables) -> LearnedScratch:
         """See ``CompiledPlanner``."""
         scratch = np.zeros(MOST_FEATURES), np.zeros(len(REQUEST))
-        return LearnedScratch(self.weights, measures_of(tables), make_scratch(tables), *scratch)
+        return LearnedScratch(self.weights, measures_of(tables), self.make_search(tables), *scratch)
 
     def grow(self, tables: Tables) -> LearnedScratch:
         """See ``CompiledPlanner``."""

@@ -257,6 +257,7 @@ class Fitness:
     cost_weight: NotNegative
     saving_weight: NotNegative
     spread: Positive
+    bound: bool
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, Sizes
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.parallel import Joblib
 from nfv_torchrl.planners import MyopicPlanner
+from nfv_torchrl.planners.learned_prices import ADMIT
 from nfv_torchrl.simulator import Simulator
 
 SOURCE = FixedNetwork({"horizon": 120, "mean_lifetime": 100.0, "arrival_rate": 12.0, "colocation": True,
@@ -94,3 +95,32 @@ def test_another_network_is_refused():
         CandidatePolicy(functools.partial(MLPNetwork, hidden=[4]), sizes)
     with pytest.raises(ScenarioError, match="ReLU or Tanh"):
         CandidatePolicy(functools.partial(CandidateNetwork, hidden=[4], activation="ELU"), sizes).player()
+
+
+def test_without_the_bound_gains_are_divided_by_the_spread_alone():
+    (task,) = SOURCE.draw(0, 0, 1)
+    arena = Arena(cost_weight=0.0, saving_weight=0.0, spread=0.05, bound=False)
+    ((score,),) = arena.scores([price_policy(3)], [task])
+    assert [base.gap for base in arena.baselines([task])] == [0.0]
+    assert score.fitness == pytest.approx((score.aar - score.myopic_aar) / 0.05) != 0
+
+
+def test_refusal_alone_is_shaped_where_prices_are_not_learned():
+    policy = PricePolicy(functools.partial(PriceNetwork, begin="priced", learn_prices=False))
+    before = policy.network.weights()
+    policy.set_vector(np.arange(policy.vector().size, dtype=np.float32))
+    after = policy.network.weights()
+    assert policy.vector().size == before.admit.linear.size == len(ADMIT) + 1
+    np.testing.assert_array_equal(after.vm.linear, before.vm.linear)
+    np.testing.assert_array_equal(after.link.linear, before.link.linear)
+    assert before.vm.linear.any() and after.admit.linear.tolist() == list(range(len(ADMIT) + 1))
+    everything = PricePolicy(functools.partial(PriceNetwork, begin="priced"))
+    assert everything.state_dict().keys() == policy.state_dict().keys()  # so weights of one begin the other
+
+
+def test_a_limit_on_the_search_is_that_of_the_planner():
+    policy = PricePolicy(PriceNetwork, labels=7)
+    assert policy.player().labels == policy.with_vector(policy.vector()).method("limited").planner.labels == 7
+    assert PricePolicy(PriceNetwork).player().labels is None
+    with pytest.raises(ScenarioError, match="labels is 0"):
+        PricePolicy(PriceNetwork, labels=0)

@@ -20,8 +20,10 @@ from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evaluation.tables import detail_table
 from nfv_torchrl.methods import PlannerMethod
+from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner, PricedPlanner
 from nfv_torchrl.planners.base import Planner
+from nfv_torchrl.planners.learned_prices import LearnedPrices
 from nfv_torchrl.scenario.random_graph import draw_random_substrate
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.services import ServiceCatalogue, ServiceType
@@ -43,6 +45,19 @@ def test_a_limit_that_is_never_reached_changes_nothing():
         world = general_case(seed).world
         assert plan_of(limited, world) == plan_of(free, world)
         assert limited.unproved.tolist() == [0] and free.unproved is None
+
+
+def test_learned_prices_may_be_limited_too():
+    """Without prices they are the exact search, limited or not."""
+    for seed in range(40):
+        world = general_case(seed).world
+        learned, exact = (make(40) for make in (unpriced, lambda labels: MyopicPlanner(labels=labels)))
+        assert plan_of(learned, world) == plan_of(exact, world)
+        assert learned.unproved.tolist() == exact.unproved.tolist()
+
+
+def unpriced(labels: int) -> LearnedPrices:
+    return LearnedPrices(PriceNetwork().weights(), labels=labels)
 
 
 @pytest.mark.parametrize("labels", [1, 40])

@@ -102,3 +102,17 @@ def test_a_pool_has_the_requests_of_all_draws(config):
     tasks = Redrawn(config, draws=4).draw(0, 1, 3)
     assert len({task.scenario.seed for task in tasks} | {pooled.seed}) == 4
     assert min(task.scenario.seed for task in tasks) >= 1_000_000
+
+
+def test_draws_may_have_several_files_in_turn(config, tmp_path):
+    """Such as the requests of several loads; what else the scenario says of its workload stays."""
+    more = json.loads(Path(config["workload"]["path"]).read_text())
+    more["num_requests"] = [80, 80]
+    (tmp_path / "more.json").write_text(json.dumps(more))
+    files = [config["workload"]["path"], str(tmp_path / "more.json")]
+    counts = [len(task.workload) for task in Redrawn(config, workloads=files).draw(0, 0, 4)]
+    assert counts[1] == counts[3] == 80 and max(counts[0], counts[2]) <= 40
+    (pooled,) = Redrawn({**config, "horizon": 900}, draws=2, workloads=files).scenarios(seed=0, count=8)
+    assert max(map(len, pooled.pool)) == 80 and min(map(len, pooled.pool)) <= 40
+    with pytest.raises(ScenarioError, match="workloads: is empty"):
+        Redrawn(config, workloads=[])
