@@ -15,7 +15,7 @@ from strategies import Instance, catalogues, instances, random_action, substrate
 from toy import DUO, SOLO, action
 
 from nfv_torchrl.observations import CandidateObservation, GraphObservation, RequestObservation
-from nfv_torchrl.observations.candidates import FEATURES, finish_costs, reference_costs
+from nfv_torchrl.observations.candidates import FEATURES, REQUEST, finish_costs, reference_costs
 from nfv_torchrl.scenario.services import ServiceCatalogue
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.simulator import Rules, Simulator, build_tables
@@ -122,15 +122,17 @@ def test_graph_of_a_smaller_network_is_padded():
 # ---------------------------------------------------------------------------------------------------- candidates
 
 
-def rows_of(simulator: Simulator, b: int = 0) -> dict[int, dict[str, float]]:
+def rows_of(simulator: Simulator, b: int = 0, request: bool | None = None) -> dict[int, dict[str, float]]:
     """Rows in use by action; checks that they are the mask's actions, each once, and that padding is empty."""
-    candidates = CandidateObservation().read(simulator)["candidates"][b]
+    part = CandidateObservation(request=request)
+    candidates = part.read(simulator)["candidates"][b]
     used, reject = candidates["mask"].numpy(), simulator.num_actions - 1
     actions = candidates["action"].numpy()
     assert sorted(actions[used].tolist()) == np.flatnonzero(simulator.world.seen.mask[b]).tolist()
     assert (actions[~used] == reject).all()
     assert not candidates["features"][~candidates["mask"]].any()
-    names = [*FEATURES, *(f"service {kind}" for kind in range(simulator.tables.services))]
+    block = REQUEST._fields if part.shape(simulator)[1] > len(FEATURES) + simulator.tables.services else ()
+    names = [*FEATURES, *block, *(f"service {kind}" for kind in range(simulator.tables.services))]
     rows = candidates["features"][candidates["mask"]].tolist()
     return {a: dict(zip(names, row, strict=True)) for a, row in zip(actions[used].tolist(), rows, strict=True)}
 
@@ -210,6 +212,38 @@ def test_reject_and_the_end_have_rows_of_their_own():
     play(simulator, [toy.REJECT] * 5)
     (only,) = rows_of(simulator).values()
     assert {name for name, value in only.items() if value} == {"reject"}
+
+
+def asked(simulator: Simulator, request: bool | None = None) -> dict[str, float]:
+    """The columns on the request itself, which all rows share."""
+    rows = rows_of(simulator, request=request).values()
+    (told,) = {tuple((name, row[name]) for name in REQUEST._fields) for row in rows}
+    return dict(told)
+
+
+def test_rows_tell_what_a_request_asks_for_where_lifetimes_are_seen():
+    """A duo takes 30 of 330 Mcycles/s and a solo 20, 25 on average, at 1 and 2 Mbit/s; lifetimes are 2 s on average."""
+    simulator = simulate(observe_lifetime=True, admission_control=True)
+    duo = {
+        "lifetime": math.log(2),
+        "load": math.log(30 / 25) / 2,
+        "share": 30 / 330,
+        "rate": math.log(1 / 1.5) / 2,
+        "length": 1,
+    }
+    assert asked(simulator) == pytest.approx(duo)
+    play(simulator, toy.DUO_0_TO_3[2])
+    assert asked(simulator) == pytest.approx({**duo, "lifetime": math.log(1.75), "share": 30 / 300})
+    play(simulator, [toy.REJECT])
+    solo = {"lifetime": math.log(1.1), "load": math.log(20 / 25) / 2, "share": 20 / 300, "rate": math.log(2 / 1.5) / 2}
+    assert asked(simulator) == pytest.approx({**solo, "length": 0.5})
+
+
+def test_elsewhere_they_are_there_for_whoever_asks():
+    simulator = simulate()
+    assert not set(REQUEST._fields) & set(rows_of(simulator)[action(1)])
+    assert asked(simulator, request=True)["lifetime"] == pytest.approx(math.log(2))
+    assert not set(REQUEST._fields) & set(rows_of(simulate(observe_lifetime=True), request=False)[action(1)])
 
 
 def least_costs(

@@ -97,6 +97,13 @@ def test_all_of_them_where_rates_and_delays_are_drawn(scenario: Scenario, seed: 
         assert alike(TensorDict({"menu": torch.from_numpy(menus.flat)}, [len(rows)]), "menu") == []
 
 
+def test_lifetimes_that_are_seen():
+    shown = toy.toy_scenario(observe_lifetime=True)
+    workload = toy.workload_of((0, toy.DUO, 0, 3, 1.0), (0, toy.DUO, 0, 3, 1.01), (0, toy.DUO, 0, 3, 500.0))
+    seen = read_observation(look(shown, workload, [0, 1, 2]), [RequestObservation(), CandidateObservation()])
+    assert alike(seen, "request") == alike(seen, "candidates") == []
+
+
 def test_the_ends_by_hand():
     # Duos from 0 to 3 and from 0 to 2 were one observation: node 0, no VM, nothing placed. Now 0, 1 and 0, 2/3 follow.
     uniform = toy.toy_scenario(endpoints="uniform", endpoint_pairs=None)

@@ -7,7 +7,7 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks.candidate import CandidateNetwork
 from nfv_torchrl.networks.compiled import compiled_perceptron, score_row
-from nfv_torchrl.observations.candidates import candidate_shape, costs_to_go, write_row
+from nfv_torchrl.observations.candidates import costs_to_go, write_row
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, request_cost
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
@@ -86,11 +86,12 @@ class CandidatePlay:
         if type(network) is not CandidateNetwork or network.outputs != 1 or network.noisy:
             raise ScenarioError("network: a compiled one is a CandidateNetwork with one output and no noise")
         self._weights, self._sizes, self._activation, self._now, self._after = compiled_perceptron(network.layers)
+        self._features = network.features
 
     def prepare(self, world: World) -> None:
         """See ``Player``."""
         self._to_go = costs_to_go(world.tables, world.rules)
-        self._row = np.zeros(candidate_shape(world.tables, world.rules)[1], np.float32)
+        self._row = np.zeros(self._features, np.float32)
         self._values = np.zeros(2, np.float32)
 
     def play(self, simulator: Simulator, b: int, costs: np.ndarray) -> None:

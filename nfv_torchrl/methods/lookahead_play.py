@@ -13,7 +13,7 @@ from nfv_torchrl.methods.watching import EVERY, MOST
 from nfv_torchrl.networks.compiled import CompiledPerceptron, compiled_perceptron, outputs_of
 from nfv_torchrl.networks.lookahead import DEAD, TIE, LookaheadNetwork
 from nfv_torchrl.observations.ahead import Looking, look_from
-from nfv_torchrl.observations.candidates import candidate_shape
+from nfv_torchrl.observations.candidates import candidate_rows
 from nfv_torchrl.observations.lookahead import FEATURES, ROW, fill_rows
 from nfv_torchrl.observations.standing import FACTORS, STATE, state_scales
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room
@@ -118,7 +118,7 @@ class LookaheadPlay:
         network = self._network
         self._looking = Looking(exact=network.exact, price=network.at)
         self._scales = state_scales(world.tables)
-        rows = np.zeros((candidate_shape(world.tables, world.rules)[0], len(FEATURES)), np.float32)
+        rows = np.zeros((candidate_rows(world.tables, world.rules), len(FEATURES)), np.float32)
         state = np.zeros(len(STATE), np.float32)
         self._own = Deciding(self._prices, network.w_acc, network.w_cost, rows, state)
 

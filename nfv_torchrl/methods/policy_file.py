@@ -15,6 +15,7 @@ from nfv_torchrl.methods.building import building, factory
 from nfv_torchrl.methods.compiled import acting_method, fastest_method
 from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import Sizes
+from nfv_torchrl.observations.candidates import count_features
 from nfv_torchrl.scenario.scenario import MASKS, Scenario
 from nfv_torchrl.scenario.together import fit_one_batch
 from nfv_torchrl.simulator import Simulator
@@ -131,7 +132,7 @@ def load_policy(
     simulator = Simulator(scenarios, len(scenarios), one_hot=content["one_hot"])
     with building(path, content["weights"]):
         planner = make["planner"]() if kind == "planner" else None
-        sizes = planner.sizes(simulator) if planner else Sizes.of(simulator)
+        sizes = planner.sizes(simulator) if planner else _as_trained(Sizes.of(simulator), content)
         module = make["policy" if kind == "evolved" else "loss"](network=make["network"], sizes=sizes)
         network = module.network if kind == "evolved" else q_network(module)
     _check_fit(path, content, sizes, network, scenarios[0])
@@ -151,6 +152,13 @@ def load_policy(
         mask=content["mask"],
         decides_admission=content["admission_control"],
     )
+
+
+def _as_trained(sizes: Sizes, content: Mapping[str, Any]) -> Sizes:
+    """``sizes`` with rows of candidates as in training: with columns on the request itself, or without."""
+    trained = content["sizes"]["candidate_features"]
+    known = {count_features(sizes.services, request=request) for request in (False, True)}
+    return sizes._replace(candidate_features=trained) if trained in known else sizes
 
 
 def _check_fit(

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from torch import Tensor, nn
 
 from nfv_torchrl.observations import ObservationPart
-from nfv_torchrl.observations.candidates import FEATURES
+from nfv_torchrl.observations.candidates import count_features, describes_requests
 from nfv_torchrl.simulator import Simulator
 
 
@@ -28,7 +28,7 @@ class Sizes(NamedTuple):
             observation=simulator.world.seen.flat.shape[1],
             actions=simulator.num_actions,
             services=services,
-            candidate_features=len(FEATURES) + services,
+            candidate_features=count_features(services, request=describes_requests(simulator.world)),
         )
 
 

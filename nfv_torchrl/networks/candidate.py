@@ -10,6 +10,7 @@ from torch import Tensor
 from nfv_torchrl.networks.base import QNetwork, Sizes
 from nfv_torchrl.networks.layers import perceptron
 from nfv_torchrl.observations import CandidateObservation, ObservationPart
+from nfv_torchrl.observations.candidates import count_features
 from nfv_torchrl.settings.values import Activation, Width
 
 
@@ -21,7 +22,7 @@ class CandidateNetwork(QNetwork):
     of its action; actions without a row get 0.
 
     Args:
-        sizes: number of features.
+        sizes: number of features, which says whether those of ``RequestFeatures`` are among them.
         outputs: outputs per action.
         hidden: neurons of each hidden layer.
         activation: name of a ``torch.nn`` activation.
@@ -43,11 +44,13 @@ class CandidateNetwork(QNetwork):
     ) -> None:
         super().__init__()
         self.outputs, self.noisy = outputs, noisy
+        self.features = sizes.candidate_features
+        self._request = sizes.candidate_features > count_features(sizes.services, request=False)
         self.layers = perceptron(sizes.candidate_features, outputs, hidden, activation, noisy=noisy)
 
     def observations(self) -> list[ObservationPart]:
         """See ``QNetwork``."""
-        return [CandidateObservation()]
+        return [CandidateObservation(request=self._request)]
 
     def forward(self, features: Tensor, action: Tensor, row_mask: Tensor, action_mask: Tensor) -> Tensor:
         """Values of all actions."""

@@ -16,6 +16,7 @@ from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.mask import PASSES, check_step
 from nfv_torchrl.simulator.slots import used_vm_share
+from nfv_torchrl.simulator.state import World
 from nfv_torchrl.simulator.steps import (
     Step,
     counts_as_switch,
@@ -30,7 +31,7 @@ from nfv_torchrl.simulator.tables import Rules, Tables
 
 
 class CandidateFeatures(NamedTuple):
-    """Columns of the candidate rows; one column per service type (one-hot) follows."""
+    """Columns of the candidate rows. ``RequestFeatures`` may follow, then one column per service type (one-hot)."""
 
     reject: int  # 1 for the row of the reject action
     place: int  # places the next function (else only forwards)
@@ -53,8 +54,22 @@ class CandidateFeatures(NamedTuple):
     network_link_use: int  # used share of all link capacity now
 
 
+class RequestFeatures(NamedTuple):
+    """Columns on the request itself, the same in all its rows, where the service type does not tell all of it: where
+    lifetimes are seen, or requests bring demands of their own."""
+
+    lifetime: int  # log of 1 + the lifetime over its mean, which is taken for it where lifetimes are hidden
+    load: int  # log of the chain's load over its mean over profiles, halved; of several kinds of resources the largest
+    share: int  # the chain's load over what is not used of all VMs, at most 1, likewise
+    rate: int  # log of the highest rate over its mean over profiles, halved
+    length: int  # functions of the chain over those of the longest
+
+
 AT = columns(CandidateFeatures)
 FEATURES = CandidateFeatures._fields
+REQUEST = RequestFeatures(*(len(FEATURES) + number for number in range(len(RequestFeatures._fields))))
+LEAST_RATIO = 1e-9
+"""Of a load or rate to the mean, for requests that take next to nothing."""
 
 
 class CostsToGo(NamedTuple):
@@ -65,6 +80,7 @@ class CostsToGo(NamedTuple):
 
     of_service: np.ndarray  # float64 [S, K, N, F + 1, N], the third index is the egress
     reference: np.ndarray  # float64 [S, P], $: what the costs of a profile's requests are measured by
+    asked: np.ndarray  # float64 [P, 3]: load and rate of a profile's requests, as RequestFeatures; length
     row: np.ndarray  # int32 [S, P, N + 1], row of ``other`` by egress (N: free), -1: not there
     other: np.ndarray  # float64 [C, F + 1, N]
     used: np.ndarray  # int64 [1], rows of it
@@ -177,10 +193,20 @@ def costs_to_go(tables: Tables, rules: Rules) -> CostsToGo:
     return CostsToGo(
         of_service=of_service,
         reference=reference,
+        asked=_asked(tables),
         row=np.full(shape, -1, np.int32),
         other=np.zeros((rows, layers, nodes)),
         used=np.zeros(1, np.int64),
     )
+
+
+def _asked(tables: Tables) -> np.ndarray:
+    """The columns of ``RequestFeatures`` that a profile tells alone, float64 [P, 3]: load, rate and length."""
+    chain, rate = tables.load.sum(axis=1), tables.rate.max(axis=1)
+    loads = (chain / np.maximum(chain.mean(axis=0), LEAST_RATIO)).max(axis=1)
+    rates = rate / max(rate.mean(), LEAST_RATIO)
+    logs = [0.5 * np.log(np.maximum(each, LEAST_RATIO)) for each in (loads, rates)]
+    return np.stack([*logs, tables.chain_length / max(tables.chain_length.max(), 1)], axis=1)
 
 
 @part
@@ -206,7 +232,10 @@ def _cost_to_go(world, b, costs, functions, node):
 
 @part
 def write_row(world, b, costs, action, row):
-    """Features of one valid action into ``row`` [features], which holds zeros."""
+    """Features of one valid action into ``row`` [features], which holds zeros.
+
+    Whether the columns of ``RequestFeatures`` are among them is told by the length of ``row``.
+    """
     e = world.env[b]
     if action == world.seen.mask.shape[1] - 1:
         row[AT.reject] = 1.0
@@ -215,7 +244,29 @@ def write_row(world, b, costs, action, row):
     row[AT.network_vm_use] = used_vm_share(world, b)
     row[AT.network_link_use] = e.link_used / world.tables.link_total[e.net]
     if e.done == 0:
-        row[row.size - world.tables.services + e.service] = 1.0
+        services = world.tables.services
+        row[row.size - services + e.service] = 1.0
+        if row.size > len(FEATURES) + services:
+            _write_request(world, b, costs, row)
+
+
+@part
+def _write_request(world, b, costs, row):
+    """The columns of ``RequestFeatures``."""
+    tables, e = world.tables, world.env[b]
+    mean = world.mean_lifetime[b]
+    row[REQUEST.lifetime] = np.log(1.0 + (e.lifetime / mean if mean > 0.0 else 1.0))
+    row[REQUEST.load] = costs.asked[e.profile, 0]
+    row[REQUEST.rate] = costs.asked[e.profile, 1]
+    row[REQUEST.length] = costs.asked[e.profile, 2]
+    share = 0.0
+    for kind in range(tables.load.shape[2]):
+        asked = np.int64(0)
+        for f in range(tables.chain_length[e.profile]):
+            asked += tables.load_units[e.profile, f, kind]
+        free = tables.vm_total[e.net, kind] - world.ledger.vm_used[b, kind]
+        share = max(share, asked / max(free, asked, 1))
+    row[REQUEST.share] = share
 
 
 @part
@@ -319,24 +370,39 @@ def write_candidates(world, costs, rows, actions, mask):
             write_row(world, b, costs, action, rows[b, k])
 
 
-def candidate_shape(tables: Tables, rules: Rules) -> tuple[int, int]:
-    """Rows C and features on the networks of ``tables``."""
+def candidate_rows(tables: Tables, rules: Rules) -> int:
+    """Rows C on the networks of ``tables``."""
     _, nodes, vms, _ = tables.vm_capacity.shape
     rows = count_actions(tables.neighbour.shape[2] + 1, vms)
     anywhere = count_vms(nodes, vms) + 1 if rules.free_ends else 0  # a free ingress: any VM, or reject
-    return max(rows, anywhere), len(FEATURES) + tables.services
+    return max(rows, anywhere)
+
+
+def count_features(services: int, *, request: bool) -> int:
+    """Columns of a row, with those of ``RequestFeatures`` or without."""
+    return len(FEATURES) + (len(REQUEST) if request else 0) + services
+
+
+def describes_requests(world: World) -> bool:
+    """Whether rows have the columns of ``RequestFeatures``: lifetimes are seen, or requests bring their demands."""
+    return bool(world.seen.demand or world.mean_lifetime.any())
 
 
 class CandidateObservation:
     """Key ``candidates``, nested: one row for each valid action, in no particular order, then padding.
 
     C = 2 V (D + 1) + 1 rows, D the largest degree; with free ends N V + 1 if that is more. ``features`` float32
-    [B, C, F + K] (columns: the F of ``CandidateFeatures``, then the service type one-hot; costs and delays are relative
-    to the service's own, so that one network serves all), ``action`` int64 [B, C]: the action a row stands for
-    (``reject`` in padding), ``mask`` bool [B, C]: rows in use.
+    [B, C, F + K] (columns: the F of ``CandidateFeatures``, and of ``RequestFeatures`` where there are, then the service
+    type one-hot; costs and delays are relative to the service's own, so that one network serves all), ``action`` int64
+    [B, C]: the action a row stands for (``reject`` in padding), ``mask`` bool [B, C]: rows in use.
+
+    Args:
+        request: whether rows have the columns of ``RequestFeatures``; None: where lifetimes are seen or requests bring
+            demands of their own.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, request: bool | None = None) -> None:
+        self.request = request
         self._simulator: Simulator | None = None
 
     def _prepare(self, simulator: Simulator) -> None:
@@ -345,10 +411,11 @@ class CandidateObservation:
         self._simulator = simulator
         self._costs = costs_to_go(simulator.tables, simulator.world.rules)
 
-    @staticmethod
-    def shape(simulator: Simulator) -> tuple[int, int]:
+    def shape(self, simulator: Simulator) -> tuple[int, int]:
         """Rows C and features."""
-        return candidate_shape(simulator.tables, simulator.world.rules)
+        request = describes_requests(simulator.world) if self.request is None else self.request
+        rows = candidate_rows(simulator.tables, simulator.world.rules)
+        return rows, count_features(simulator.tables.services, request=request)
 
     def specs(self, simulator: Simulator) -> dict:
         """See ``ObservationPart``."""

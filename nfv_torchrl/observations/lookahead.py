@@ -24,7 +24,7 @@ from nfv_torchrl.observations.ahead import (
     step_of,
 )
 from nfv_torchrl.observations.base import gather
-from nfv_torchrl.observations.candidates import candidate_shape, costs_to_go, write_row
+from nfv_torchrl.observations.candidates import candidate_rows, costs_to_go, count_features, write_row
 from nfv_torchrl.observations.standing import MOST, STATE, scale_of, state_scales, write_state
 from nfv_torchrl.planners.menu import STEEPNESS
 from nfv_torchrl.settings.values import AboveOne, NotNegative
@@ -201,8 +201,8 @@ class LookaheadObservation:
 
     def shape(self, tables: Tables, rules: Rules) -> tuple[int, int]:
         """Rows C and columns F."""
-        rows, more = candidate_shape(tables, rules)
-        return rows, len(FEATURES) + (more if self.candidates else 0)
+        more = count_features(tables.services, request=False) if self.candidates else 0
+        return candidate_rows(tables, rules), len(FEATURES) + more
 
     def specs(self, simulator: Simulator) -> dict:
         """See ``ObservationPart``."""

@@ -99,6 +99,24 @@ def test_the_first_format_is_read(make, kind, tmp_path):
     assert_same_decisions(method, load_policy(tmp_path / "best.pt", SCENARIO))
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("seen", [False, True])
+def test_rows_of_candidates_are_those_of_training(seen, compiled, tmp_path):
+    """What was trained with lifetimes hidden decides the same where they are shown; the other way round it may not."""
+    torch.manual_seed(0)
+    trained, other = (SCENARIO.replace(observe_lifetime=shown) for shown in (seen, not seen))
+    sizes = Sizes.of(Simulator(trained, 1))
+    loss = DQN(functools.partial(CandidateNetwork, hidden=[8]), sizes)
+    config = {"network": CANDIDATES, "loss": {"_target_": "nfv_torchrl.losses.DQN"}}
+    save_policy(tmp_path / "best.pt", policy_content(loss, sizes, config, trained, {}))
+    there, here = (
+        run_method(scenario, load_policy(tmp_path / "best.pt", scenario, compiled=compiled), [0])[0]
+        for scenario in (trained, other)
+    )
+    assert there.accepted.any()
+    assert seen or here.step_node.tolist() == there.step_node.tolist()
+
+
 def assert_same_decisions(method: Method, other: Method) -> None:
     (one,), (two,) = run_method(SCENARIO, method, [0]), run_method(SCENARIO, other, [0])
     assert len(set(one.step_node.tolist())) > 1
