@@ -26,7 +26,7 @@ class LookaheadNetwork(QNetwork):
 
     $$
     Q(s, a) = V(s) + \max_{w} \Big[ w_{acc} - w_{cost} \Big(\frac{\phi_w}{\phi_0} - 1\Big) - \lambda(s) \,
-    \frac{\pi_w - \pi_{min}}{\phi_0} \Big] - \frac{l(s)}{\bar l} \, g(s),
+    \frac{\pi_w - \pi_{min}}{\phi_0} \Big] - \frac{l(s)}{\bar l} \, \tau(s) \, g(s),
     \qquad Q(s, \mathrm{reject}) = V(s)
     $$
 
@@ -34,7 +34,8 @@ class LookaheadNetwork(QNetwork):
     raised prices. $\phi_w$ is the cost of the whole walk, $\phi_0$ the least cost when the request came: the first two
     terms are the reward of ``admission_regret``. $\pi_w$ is what the walk costs at raised prices, so $\lambda$ says how
     much it is worth to spare what is nearly used up. g is a bid price for each unit of demand, the load l of the chain
-    over the mean over services: whether to serve the request at all. V says how good the state is.
+    over the mean over services (of several kinds of resources the largest), times its expected stay $\tau$ (1 where
+    lifetimes are hidden): whether to serve the request at all. V says how good the state is.
 
     V, $\lambda$ and g are two small perceptrons of the state that begin at zero: no row is reordered by anything that
     was learned about a row, only prices are. Untrained, the network takes the cheapest walk: with ``exact`` that of

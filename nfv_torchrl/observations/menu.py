@@ -153,6 +153,15 @@ def _room(free, reference):
 
 
 @part
+def stay_of(world, b):
+    """What the lifetime of the request in hand makes of its price: see AT_ONCE; 1 where lifetimes are hidden."""
+    mean = world.mean_lifetime[b]
+    if mean <= 0.0:
+        return 1.0
+    return AT_ONCE + (1.0 - AT_ONCE) * min(world.env[b].lifetime / mean, LONGEST_STAY)
+
+
+@part
 def pow8(x):
     """x to the power of eight: near 0 but where a share is nearly 1."""
     x = x * x
@@ -198,12 +207,10 @@ def _describe_state(world, b, own, menu, state):
     """Fill the columns of the network and the request."""
     tables, e = world.tables, world.env[b]
     net, service = e.net, e.service
-    mean = world.mean_lifetime[b]
-    stay = AT_ONCE + (1.0 - AT_ONCE) * min(e.lifetime / mean, LONGEST_STAY) if mean > 0.0 else 1.0
     demand = own.needs.chain_units[service] / own.reference_load
     used = world.ledger.vm_used[b, 0] / tables.vm_total[net, 0]
     state[STATE.demand] = demand
-    state[STATE.stay] = stay
+    state[STATE.stay] = stay_of(world, b)
     state[STATE.log_demand] = 0.5 * np.log(demand)
     state[STATE.rate] = np.log(own.rate_units[service] / own.reference_rate) / 4.0
     near = tables.delay_to[net, tables.least_rate[service], e.ingress, e.egress]

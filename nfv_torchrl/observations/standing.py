@@ -11,7 +11,7 @@ import numpy as np
 
 from nfv_torchrl.columns import columns
 from nfv_torchrl.observations.ahead import CHEAP, SPARE
-from nfv_torchrl.observations.menu import pow8
+from nfv_torchrl.observations.menu import pow8, stay_of
 from nfv_torchrl.planners.menu import LEAST_COST
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.slots import used_vm_share
@@ -24,8 +24,8 @@ MOST = 20.0
 class StateFeatures(NamedTuple):
     """Numbers of the network and the request, the same for all rows."""
 
-    demand: int  # load of the chain over the mean over services
-    log_demand: int
+    bid_for: int  # demand, times what its lifetime makes of its price where lifetimes are seen, see ``menu.stay_of``
+    log_demand: int  # of the load of the chain over the mean over services; of several kinds of resources the largest
     size: int  # log of the load of the chain over the capacity of a mean VM, over 5
     rate: int  # log of 1 + the highest rate over that of the mean link, over 5
     vm_used: int  # used share of all VM capacity
@@ -51,23 +51,25 @@ FACTORS = 1
 class StateScales(NamedTuple):
     """What the numbers of the state are measured by."""
 
+    demand: np.ndarray  # float64 [P], load of each over the mean over services, of several kinds the largest
     chain: np.ndarray  # float64 [P], load of each profile, of the first kind of resources
     rate: np.ndarray  # float64 [P], highest rate of each, Mbit/s
-    mean_chain: float  # mean load over services
     mean_capacity: np.ndarray  # float64 [S], Mcycles/s of a VM
     mean_speed: np.ndarray  # float64 [S], Mbit/s of a link
 
 
 def state_scales(tables: Tables) -> StateScales:
     """``StateScales`` of a simulator's tables."""
-    chain = tables.load[:, :, 0].sum(axis=1)
+    loads = tables.load.sum(axis=1)
+    chain = np.ascontiguousarray(loads[:, 0])
+    usual = np.array([max(float(kind[: tables.services].mean()), LEAST_COST) for kind in loads.T])
     links = np.maximum(tables.num_links, 1)
     exists = np.arange(tables.link_speed.shape[1]) < tables.num_links[:, None]
     vms = np.maximum(tables.vm_count.sum(axis=1), 1)
     return StateScales(
+        demand=(loads / usual).max(axis=1),
         chain=chain,
         rate=tables.rate.max(axis=1),
-        mean_chain=max(float(chain[: tables.services].mean()), LEAST_COST),
         mean_capacity=np.where(tables.vm_capacity[..., 0] > 0, tables.vm_speed, 0.0).sum(axis=(1, 2)) / vms,
         mean_speed=np.where(exists, tables.link_speed, 0.0).sum(axis=1) / links,
     )
@@ -84,10 +86,10 @@ def write_state(world, b, own, scales, state):
     """Fill the numbers of the network and the request, float32 [S]."""
     tables, kept, e = world.tables, own.kept, world.env[b]
     net, profile = e.net, e.profile
-    demand = scales.chain[profile] / scales.mean_chain
+    demand = scales.demand[profile]
     used = used_vm_share(world, b)
     link_used = e.link_used / tables.link_total[net]
-    state[STATE.demand] = demand
+    state[STATE.bid_for] = demand * stay_of(world, b)
     state[STATE.log_demand] = 0.5 * np.log(max(demand, 1e-3))
     state[STATE.size] = np.log(max(scales.chain[profile] / scales.mean_capacity[net], 1e-9)) / 5.0
     state[STATE.rate] = np.log(1.0 + scales.rate[profile] / scales.mean_speed[net]) / 5.0

@@ -180,7 +180,7 @@ def test_values_by_hand():
         network.value[-1].bias.fill_(3.0)
         network.prices[-1].bias.copy_(torch.tensor([2.0, 0.25]))  # lambda and g
     features, state = torch.zeros(4, len(FEATURES)), torch.zeros(len(STATE))
-    state[STATE.demand] = 2.0
+    state[STATE.bid_for] = 2.0
     features[0, ROW.reject] = 1
     for row, (cost, regret, spare_cost, spare_regret, is_planned) in enumerate(
         [(1.0, 0.3, 1.0, 0.3, 1), (1.4, 0.0, 1.2, 0.1, 0)], 1
@@ -193,6 +193,17 @@ def test_values_by_hand():
     # V + 1 - 0.5 (cost - 1) - 2 regret - 2 * 0.25, of the better way; reject: V; no row: 0.
     assert values.tolist() == pytest.approx([3 + 1 - 0.6 - 0.5, 0, 3 + 1 - 0.2 - 0.5, 3], abs=1e-4)
     assert FACTORS == 1
+
+
+def test_a_bid_is_for_the_demand_and_where_lifetimes_are_seen_for_the_stay():
+    """A duo takes 30 Mcycles/s and services 25 on average. Half of a bid is for coming; the mean lifetime is 2 s."""
+    for shown, stays in ((False, (1.0, 1.0, 1.0)), (True, (1.0, 0.75, 3.0))):
+        simulator = Simulator(toy_scenario(mask="feasible", observe_lifetime=shown), 3)
+        for b, lifetime in enumerate((2.0, 1.0, 100.0)):
+            simulator.start(b, workload_of((0, DUO, 0, 3, lifetime)))
+        state = LookaheadObservation().read(simulator)["lookahead"]["state"]
+        assert state[:, STATE.bid_for].tolist() == pytest.approx([1.2 * stay for stay in stays])
+        assert state[:, STATE.log_demand].tolist() == pytest.approx([0.5 * math.log(1.2)] * 3)
 
 
 def test_rewards_know_the_least_cost():
