@@ -90,6 +90,17 @@ def test_its_board_shows_rules_bound_walks_and_words(tmp_path):
     assert standing.startswith("Untrained, the agent accepts")
 
 
+def test_the_preset_of_a_refusal_alone(tmp_path):
+    folder = tmp_path / "run"
+    kind = ["policy=learned_refusal", "policy.labels=50", "scenario=heavy", "generations=2"]
+    call(
+        "evolution", f"run_dir={folder}", *(each for each in TINY if not each.startswith("generations")), *kind, *RANDOM
+    )
+    best = load_file(folder / "best.pt")
+    assert best["policy"]["labels"] == 50
+    assert not best["weights"]["network.vm.linear"].any() and best["weights"]["network.admit.linear"].any()
+
+
 def test_chains_of_a_law_on_generated_networks(tmp_path):
     laws = (ROOT / "docs/benchmark/chains_0.28.yaml").read_text().replace("num_v_nets: 1000", "num_v_nets: 60")
     (tmp_path / "laws.yaml").write_text(laws.replace("high: 10}", "high: 4}"))
