@@ -20,7 +20,7 @@ from nfv_torchrl.evaluation.statistics import Interval, mean_interval
 from nfv_torchrl.evaluation.tables import UNDEFINED, Table
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.drawing import panel_figure
-from nfv_torchrl.experiments.rows import cost_ratios, together, values
+from nfv_torchrl.experiments.rows import cost_ratios, lowest, together, values
 from nfv_torchrl.experiments.transfer import POLICY, is_policy
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.cli import recipe_configs
@@ -34,6 +34,7 @@ MEASURES = {
     "unproved": ",.1f",
 }
 """What a table shows of every method, where its runs have it; ``unproved`` only if it is not zero everywhere."""
+LOWEST = "aar_difference_lowest"
 Rows = list[dict[str, Any]]
 
 
@@ -144,6 +145,8 @@ def place_rows(place: Place, store: CellStore, reference: str) -> Rows:
             differences = [np.subtract(values(results[key], "aar"), theirs) for key in keys]
             costs = [cost_ratios(store, (place.methods[key],), (place.methods[reference],)) for key in keys]
             rows.append(result_row(about, name, "aar_difference", together(differences), reference))
+            if len(keys) > 1:
+                rows.append(result_row(about, name, LOWEST, lowest(differences), reference))
             rows.append(result_row(about, name, "paired_cost", together(costs), reference))
     if place.bound is not None and store.has(place.bound):
         for kind, by_seed in store.read(place.bound)["bounds"].items():
@@ -198,12 +201,15 @@ def field_table(title: str, rows: Rows, reference: str, axis: str) -> Table:
         lines.setdefault((row["network"], row["load"], row["method"]), {})[row["metric"], row["reference"]] = row
     ordered = sorted(lines.items(), key=lambda line: (_first(rows, line[0][0]), line[0][1]))
     shown = {(metric, ""): MEASURES[metric] for metric in measures}
-    shown |= {("aar_difference", reference): "+.4f", ("paired_cost", reference): ".3f"}
+    several = any(row["metric"] == LOWEST for row in rows)
+    shown |= {("aar_difference", reference): "+.4f"} | ({(LOWEST, reference): "+.4f"} if several else {})
+    shown |= {("paired_cost", reference): ".3f"}
     table = [
         (f"{network}, {load:g} {axis}: {method}", *(_shown(found.get(key), form) for key, form in shown.items()))
         for (network, load, method), found in ordered
     ]
-    columns = ("", *(heads[metric] for metric in measures), f"to {reference}", "paired cost")
+    training = ("lowest training seed",) if several else ()
+    columns = ("", *(heads[metric] for metric in measures), f"to {reference}", *training, "paired cost")
     return Table(title, columns, tuple(table))
 
 

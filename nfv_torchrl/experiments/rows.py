@@ -120,6 +120,11 @@ def together(samples: Sequence[Sequence[float] | np.ndarray]) -> Interval:
     return mean_interval(np.mean(np.array(samples, dtype=float), axis=0))
 
 
+def lowest(samples: Sequence[Sequence[float] | np.ndarray]) -> Interval:
+    """The lowest of the training seeds, by its mean over the seeds of a network; without an interval."""
+    return Interval(min(float(np.mean(each)) for each in samples), math.nan, math.nan, len(samples))
+
+
 def gap_rows(
     store: CellStore, methods: Mapping[str, Runs], bound: Cell, x: float, world: Point, agent: str | None = None
 ) -> Rows:

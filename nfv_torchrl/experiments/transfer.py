@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,10 +11,10 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
-from nfv_torchrl.evaluation.statistics import Interval, mean_interval
+from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore
-from nfv_torchrl.experiments.rows import cost_ratios, together, values
+from nfv_torchrl.experiments.rows import cost_ratios, lowest, together, values
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.vocabulary import TABLE
 
@@ -103,8 +102,7 @@ def _paired_rows(about: Mapping[str, Any], policies: Sequence[Cell], key: str, o
         result_row(about, POLICY, "paired_cost", together(costs), key),
     ]
     if len(policies) > 1:
-        lowest = Interval(min(float(np.mean(each)) for each in differences), math.nan, math.nan, len(policies))
-        rows.append(result_row(about, POLICY, "aar_difference_lowest", lowest, key))
+        rows.append(result_row(about, POLICY, "aar_difference_lowest", lowest(differences), key))
     return rows
 
 
@@ -118,11 +116,11 @@ def transfer_tables(rows: Rows, methods: Sequence[str], about: str) -> list[Tabl
     """
     others = [key for key in methods if not is_policy(key)]
     bounds = dict.fromkeys(row["method"] for row in rows if row["metric"] == "aar_bound")
-    lowest = dict.fromkeys(row["reference"] for row in rows if row["metric"] == "aar_difference_lowest")
+    seeds_to = dict.fromkeys(row["reference"] for row in rows if row["metric"] == "aar_difference_lowest")
     columns = [
         *(Column("aar", ".4f", key) for key in (*others, POLICY)),
         *(Column("aar_difference", "+.4f", POLICY, key) for key in others),
-        *(Column("aar_difference_lowest", "+.4f", POLICY, key, f"lowest training seed to {key}") for key in lowest),
+        *(Column("aar_difference_lowest", "+.4f", POLICY, key, f"lowest training seed to {key}") for key in seeds_to),
         *(Column("paired_cost", ".3f", POLICY, key) for key in others),
         *(Column("aar_bound", ".4f", kind) for kind in bounds),
     ]

@@ -7,9 +7,14 @@ import json
 
 import pytest
 from inprocess import call
+from tiny import ROOT
 
 from nfv_torchrl.experiments.field import limited
+from nfv_torchrl.experiments.rows import lowest, together
+from nfv_torchrl.experiments.transfer import POLICY
 from nfv_torchrl.scenario.scenario import Scenario
+
+POLICIES = ROOT / "docs" / "results" / "policies"
 
 pytest.importorskip("topohub", reason="the networks of set=traffic are TopoHub's")
 
@@ -17,10 +22,11 @@ pytest.importorskip("topohub", reason="the networks of set=traffic are TopoHub's
 def test_it_compares_pairs_and_freezes(tmp_path, capsys):
     output, manifest = tmp_path / "out", tmp_path / "traffic.json"
     published = "published=[{place: abilene, load: 2, method: theirs, aar: 0.5, source: 'a paper'}]"
+    policies = f"checkpoints=[{POLICIES / 'general.pt'},{POLICIES / 'heavy.pt'}]"
+    small = "overrides=['scenario.horizon=20','scenario.arrival_rate=4']"
     call(
-        "field", "set=traffic", "only=[abilene]", "seeds=2", "method=[greedy,myopic_optimal]", "parallel.jobs=1",
-        "places.abilene.loads=[2]", "overrides=['scenario.horizon=20','scenario.arrival_rate=4']", published,
-        f"output={output}", f"freeze={manifest}",
+        "field", "set=traffic", "only=[abilene]", "seeds=2", "method=[greedy,myopic_optimal,checkpoint]", policies,
+        "parallel.jobs=1", "places.abilene.loads=[2]", small, published, f"output={output}", f"freeze={manifest}",
     )  # fmt: skip
     with (output / "field.csv").open() as file:
         rows = {(row["method"], row["metric"], row["reference"]): row for row in csv.DictReader(file)}
@@ -30,8 +36,12 @@ def test_it_compares_pairs_and_freezes(tmp_path, capsys):
     )
     difference = rows["greedy", "aar_difference", "myopic_optimal"]
     assert float(difference["mean"]) == pytest.approx(aar["greedy"] - aar["myopic_optimal"])
+    least, both = (float(rows[POLICY, f"aar_difference{part}", "myopic_optimal"]["mean"]) for part in ("_lowest", ""))
+    assert least <= both == pytest.approx(float(rows[POLICY, "aar", ""]["mean"]) - aar["myopic_optimal"])
     assert rows["theirs", "aar", ""]["source"] == "a paper" and rows["theirs", "aar", ""]["ci_low"] == ""
-    assert "theirs" in capsys.readouterr().out and (output / "field.png").stat().st_size > 0
+    printed = capsys.readouterr().out
+    assert "theirs" in printed and "lowest training seed" in printed and f"{least:+.4f}" in printed
+    assert (output / "field.png").stat().st_size > 0
 
     runs = json.loads(manifest.read_text())["runs"]
     assert list(runs) == ["abilene-2-seed_0", "abilene-2-seed_1"]
@@ -39,6 +49,11 @@ def test_it_compares_pairs_and_freezes(tmp_path, capsys):
     assert runs["abilene-2-seed_1"]["rows"]["greedy"]["aar"] <= 1
     mean = sum(run["rows"]["greedy"]["aar"] for run in runs.values()) / 2
     assert mean == pytest.approx(aar["greedy"])
+
+
+def test_the_lowest_of_several_training_seeds():
+    samples = [[0.1, 0.3], [0.0, 0.1], [0.2, 0.2]]
+    assert lowest(samples).mean == pytest.approx(0.05) and together(samples).mean == pytest.approx(0.15)
 
 
 MATRIX = """<?xml version="1.0"?>
