@@ -166,11 +166,13 @@ def _check_fit(
 ) -> None:
     """Refuse a scenario of other sizes, unless the network fits any."""
     trained = Sizes(**content["sizes"])
-    if trained != sizes and not (network.any_size and trained.services == sizes.services):
+    services = trained.services == sizes.services or getattr(network, "any_services", False)
+    if trained != sizes and not (network.any_size and services):
         raise CheckpointError(
             f"{path} was trained on {content['scenario']} with {trained.actions} actions and {trained.observation} "
-            f"observations; {scenario.name} has {sizes.actions} and {sizes.observation}. Evaluate it on the "
-            "scenario (and scenario.seed sizes) it was trained on, or train with network=candidate, which fits any size"
+            f"observations, and {trained.services} services; {scenario.name} has {sizes.actions}, {sizes.observation} "
+            f"and {sizes.services}. Evaluate it on the scenario (and scenario.seed sizes) it was trained on, or train "
+            "with network=candidate, which fits any size, or network=lookahead, which also fits any services"
         )
 
 

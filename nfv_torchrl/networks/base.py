@@ -41,11 +41,13 @@ class QNetwork(nn.Module):
     Attributes:
         in_keys: the keys it reads from a TensorDict.
         any_size: whether the same weights serve substrates of any size.
+        any_services: whether they serve any number of service types, too.
         takes_levels: whether it takes levels of quantiles after its inputs, as ``ImplicitQuantileNetwork`` does.
     """
 
     in_keys: Sequence
     any_size: bool = False
+    any_services: bool = False
     takes_levels: bool = False
 
     def observations(self) -> list[ObservationPart]:

@@ -62,6 +62,7 @@ class LookaheadNetwork(QNetwork):
         "action_mask",
     )
     any_size = True
+    any_services = True
 
     def __init__(
         self,

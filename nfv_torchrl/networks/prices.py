@@ -84,6 +84,7 @@ class PriceNetwork(nn.Module):
     """
 
     any_size = True
+    any_services = True
 
     def __init__(
         self,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import DQN, Reinforce, q_network
 from nfv_torchrl.methods import (
@@ -22,7 +23,7 @@ from nfv_torchrl.methods import (
     policy_content,
     save_policy,
 )
-from nfv_torchrl.networks import CandidateNetwork, MLPNetwork, Sizes
+from nfv_torchrl.networks import CandidateNetwork, LookaheadNetwork, MLPNetwork, Sizes
 from nfv_torchrl.networks.prices import PriceNetwork
 from nfv_torchrl.nfvdeep import NFVdeepPlanner
 from nfv_torchrl.scenario import paper_scenario
@@ -97,6 +98,25 @@ def test_the_first_format_is_read(make, kind, tmp_path):
     del former["kind"], former["policy"]
     save_policy(tmp_path / "best.pt", former)
     assert_same_decisions(method, load_policy(tmp_path / "best.pt", SCENARIO))
+
+
+@pytest.mark.parametrize(
+    ("network", "target", "fits"),
+    [(LookaheadNetwork, "LookaheadNetwork", True), (CandidateNetwork, "CandidateNetwork", False)],
+)
+def test_what_knows_no_service_types_serves_other_services(network, target, fits, tmp_path):
+    other = paper_scenario(nodes=5, horizon=5, services={"only": {"chain": ["NAT"], "rate": 2, "tolerable_delay": 500}})
+    torch.manual_seed(0)
+    loss = DQN(functools.partial(network, hidden=[8]), SIZES)
+    part = {"_target_": f"nfv_torchrl.networks.{target}", "_partial_": True, "hidden": [8]}
+    config = {"network": part, "loss": {"_target_": "nfv_torchrl.losses.DQN"}}
+    save_policy(tmp_path / "best.pt", policy_content(loss, SIZES, config, SCENARIO, {}))
+    if fits:
+        (record,) = run_method(other, load_policy(tmp_path / "best.pt", other), [0])
+        assert record.accepted.any()
+        return
+    with pytest.raises(CheckpointError, match=r"3 services; .* 1\. Evaluate it on"):
+        load_policy(tmp_path / "best.pt", other)
 
 
 @pytest.mark.parametrize("compiled", [False, True])
