@@ -15,7 +15,8 @@ from strategies import Instance, catalogues, instances, random_action, substrate
 from toy import DUO, SOLO, action
 
 from nfv_torchrl.observations import CandidateObservation, GraphObservation, RequestObservation
-from nfv_torchrl.observations.candidates import FEATURES, REQUEST, finish_costs, reference_costs
+from nfv_torchrl.observations.candidates import FEATURES, REQUEST
+from nfv_torchrl.observations.costs_to_go import finish_costs, reference_costs
 from nfv_torchrl.scenario.services import ServiceCatalogue
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.simulator import Rules, Simulator, build_tables

@@ -70,9 +70,8 @@ class Redrawn:
             raise ScenarioError("workloads: is empty; name at least one file, or null for the scenario's own")
         self.draws = draws
         own = dict(scenario.get("workload") or {})
-        self.bases = [
-            {**scenario, "workload": own if path is None else {**own, "path": path}} for path in workloads or [None]
-        ]
+        of_files = [{**scenario, "workload": {**own, "path": path}} for path in workloads or ()]
+        self.bases = of_files or [dict(scenario)]
 
     def draw(self, seed: int, generation: int, count: int) -> list[Task]:
         """``count`` tasks, always the same for the same arguments."""

@@ -7,7 +7,8 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.networks.candidate import CandidateNetwork
 from nfv_torchrl.networks.compiled import compiled_perceptron, score_row
-from nfv_torchrl.observations.candidates import costs_to_go, write_row
+from nfv_torchrl.observations.candidates import write_row
+from nfv_torchrl.observations.costs_to_go import costs_to_go
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, request_cost
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part

@@ -24,7 +24,8 @@ from nfv_torchrl.observations.ahead import (
     step_of,
 )
 from nfv_torchrl.observations.base import gather
-from nfv_torchrl.observations.candidates import candidate_rows, costs_to_go, count_features, write_row
+from nfv_torchrl.observations.candidates import candidate_rows, count_features, write_row
+from nfv_torchrl.observations.costs_to_go import costs_to_go
 from nfv_torchrl.observations.standing import MOST, STATE, scale_of, state_scales, write_state
 from nfv_torchrl.planners.menu import STEEPNESS
 from nfv_torchrl.settings.values import AboveOne, NotNegative
