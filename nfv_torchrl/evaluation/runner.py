@@ -13,6 +13,7 @@ from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.records import FORWARD, NO_ACTION, REJECT, RunRecord
 from nfv_torchrl.methods import MayStop, Method, WholePlay, WholeWalks
 from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.together import play_apart
 from nfv_torchrl.scenario.workload import Workload
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.reasons import NO_REASON
@@ -76,9 +77,7 @@ def run_method(
             raise ScenarioError(f"{len(given)} {what} were given for {len(seeds)} seeds; give one for each")
     scenarios = [scenario_for(each, method) for each in scenarios]
     records: list[RunRecord] = []
-    # Requests with demands of their own differ from scenario to scenario, and with them what a batch shares.
-    apart = len(scenarios) > 1 and any(each.workload_path is not None for each in scenarios)
-    together = 1 if apart else MOST_TOGETHER
+    together = 1 if play_apart(scenarios) else MOST_TOGETHER
     for first in range(0, len(seeds), together):
         group = slice(first, first + together)
         here = scenarios if len(scenarios) == 1 else scenarios[group]

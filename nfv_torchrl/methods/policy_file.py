@@ -17,7 +17,7 @@ from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.observations.candidates import count_features
 from nfv_torchrl.scenario.scenario import MASKS, Scenario
-from nfv_torchrl.scenario.together import fit_one_batch
+from nfv_torchrl.scenario.together import fit_one_batch, play_apart
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.tensor_checks import check_keys, check_like, check_tensor
 from nfv_torchrl.tensor_files import load_file, save_file
@@ -128,7 +128,8 @@ def load_policy(
     content = _read(path)
     kind = content["kind"]
     make = {part: factory(path, part, content[part], trusted_packages) for part in KINDS[kind]}
-    scenarios = fit_one_batch([scenario] if isinstance(scenario, Scenario) else scenario)
+    given = [scenario] if isinstance(scenario, Scenario) else scenario
+    scenarios = given[:1] if play_apart(given) else fit_one_batch(given)
     simulator = Simulator(scenarios, len(scenarios), one_hot=content["one_hot"])
     with building(path, content["weights"]):
         planner = make["planner"]() if kind == "planner" else None

@@ -45,6 +45,12 @@ def share_profiles(scenarios: Sequence[Scenario]) -> list[Scenario]:
     return shared
 
 
+def play_apart(scenarios: Sequence[Scenario]) -> bool:
+    """Whether scenarios are played one after the other: requests from a file may bring demands of their own, which
+    differ from scenario to scenario, and a simulator of all would hold the tables of all."""
+    return len(scenarios) > 1 and any(scenario.workload_path is not None for scenario in scenarios)
+
+
 def fit_one_batch(scenarios: Sequence[Scenario]) -> list[Scenario]:
     """The scenarios as they are if they ask for the same profiles, else with those of all."""
     first = scenarios[0].profiles

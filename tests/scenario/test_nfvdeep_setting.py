@@ -12,7 +12,7 @@ import pytest
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evolution import Redrawn
-from nfv_torchrl.methods import PlannerMethod
+from nfv_torchrl.methods import PlannerMethod, policy_file
 from nfv_torchrl.planners import FirstFitPlanner
 from nfv_torchrl.scenario.nfvdeep_network import draw_nfvdeep
 from nfv_torchrl.scenario.scenario import Scenario
@@ -93,6 +93,21 @@ def test_draws_are_held_together_without_a_change(config):
         return [record.accepted.tolist() for record in run_method(scenarios, method, [0] * len(scenarios))]
 
     assert accepted(share_profiles(apart)) == [accepted([scenario])[0] for scenario in apart]
+
+
+def test_a_policy_for_several_draws_is_built_on_one_of_them(config, monkeypatch):
+    """They are played apart, and tables of all of them at once would take gigabytes where draws are large."""
+    worlds = []
+
+    def made(scenarios, *args, **keys):
+        worlds.append(len(scenarios))
+        return Simulator(scenarios, *args, **keys)
+
+    monkeypatch.setattr(policy_file, "Simulator", made)
+    draws = [Scenario.from_config({**config, "seed": seed}) for seed in range(3)]
+    path = Path(__file__).parents[2] / "docs" / "results" / "policies" / "cnupb_0.pt"
+    records = run_method(draws, policy_file.load_policy(path, draws), [0, 1, 2])
+    assert worlds == [1] and all(record.accepted.any() for record in records)
 
 
 def test_a_pool_has_the_requests_of_all_draws(config):
