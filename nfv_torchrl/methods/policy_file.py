@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from torch import Tensor, nn
@@ -133,7 +133,7 @@ def load_policy(
     simulator = Simulator(scenarios, len(scenarios), one_hot=content["one_hot"])
     with building(path, content["weights"]):
         planner = make["planner"]() if kind == "planner" else None
-        sizes = planner.sizes(simulator) if planner else _as_trained(Sizes.of(simulator), content)
+        sizes = planner.sizes(simulator) if planner else _as_trained(Sizes.of(simulator), content, make["network"])
         module = make["policy" if kind == "evolved" else "loss"](network=make["network"], sizes=sizes)
         network = module.network if kind == "evolved" else q_network(module)
     _check_fit(path, content, sizes, network, scenarios[0])
@@ -155,11 +155,16 @@ def load_policy(
     )
 
 
-def _as_trained(sizes: Sizes, content: Mapping[str, Any]) -> Sizes:
-    """``sizes`` with rows of candidates as in training: with columns on the request itself, or without."""
-    trained = content["sizes"]["candidate_features"]
-    known = {count_features(sizes.services, request=request) for request in (False, True)}
-    return sizes._replace(candidate_features=trained) if trained in known else sizes
+def _as_trained(sizes: Sizes, content: Mapping[str, Any], network: Callable) -> Sizes:
+    """``sizes`` with what a policy keeps of its training: rows of candidates with columns on the request itself or
+    without, and the number of services, where the network knows none (the loss may: of mean rewards, say)."""
+    trained = content["sizes"]
+    known = {count_features(trained["services"], request=request) for request in (False, True)}
+    if getattr(getattr(network, "func", network), "any_services", False):
+        sizes = sizes._replace(services=trained["services"])
+    if trained["services"] == sizes.services and trained["candidate_features"] in known:
+        sizes = sizes._replace(candidate_features=trained["candidate_features"])
+    return sizes
 
 
 def _check_fit(
@@ -167,8 +172,7 @@ def _check_fit(
 ) -> None:
     """Refuse a scenario of other sizes, unless the network fits any."""
     trained = Sizes(**content["sizes"])
-    services = trained.services == sizes.services or getattr(network, "any_services", False)
-    if trained != sizes and not (network.any_size and services):
+    if trained != sizes and not (network.any_size and trained.services == sizes.services):
         raise CheckpointError(
             f"{path} was trained on {content['scenario']} with {trained.actions} actions and {trained.observation} "
             f"observations, and {trained.services} services; {scenario.name} has {sizes.actions}, {sizes.observation} "

@@ -429,3 +429,13 @@ def test_every_loss_of_the_package_may_be_built_and_nothing_else_of_its_modules(
     known = {each.__name__ for each in CLASSES["loss"].values()}
     assert {"DQN", "PPO", "RecurrentDQN", "SlotDiscountDQN"} <= known
     assert not known & {"MeanValue", "TwoNetworks", "StateValue", "Acting", "AtomsModule", "LossModule", "SACLoss"}
+
+
+@pytest.mark.parametrize("services", [-1, 0, 2**40])
+def test_a_number_of_services_that_cannot_be(services, tmp_path):
+    """What knows no service types is built with as many as its file says, since its loss may count them."""
+    content = torch.load(ROOT / "docs" / "results" / "policies" / "cnupb_lookahead_0.pt", weights_only=True)
+    content["sizes"]["services"] = services
+    torch.save(content, tmp_path / "best.pt")
+    with pytest.raises(CheckpointError):
+        load_policy(tmp_path / "best.pt", SCENARIO)

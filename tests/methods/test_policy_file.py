@@ -10,7 +10,7 @@ import torch
 
 from nfv_torchrl.errors import CheckpointError
 from nfv_torchrl.evaluation.runner import run_method
-from nfv_torchrl.losses import DQN, Reinforce, q_network
+from nfv_torchrl.losses import DQN, CentredDQN, Reinforce, q_network
 from nfv_torchrl.methods import (
     CandidatePolicy,
     CompiledNetwork,
@@ -107,9 +107,10 @@ def test_the_first_format_is_read(make, kind, tmp_path):
 def test_what_knows_no_service_types_serves_other_services(network, target, fits, tmp_path):
     other = paper_scenario(nodes=5, horizon=5, services={"only": {"chain": ["NAT"], "rate": 2, "tolerable_delay": 500}})
     torch.manual_seed(0)
-    loss = DQN(functools.partial(network, hidden=[8]), SIZES)
+    loss = CentredDQN(functools.partial(network, hidden=[8]), SIZES, by_service=True, environments=2)
     part = {"_target_": f"nfv_torchrl.networks.{target}", "_partial_": True, "hidden": [8]}
-    config = {"network": part, "loss": {"_target_": "nfv_torchrl.losses.DQN"}}
+    of_loss = {"_target_": "nfv_torchrl.losses.CentredDQN", "by_service": True, "environments": 2}
+    config = {"network": part, "loss": of_loss}
     save_policy(tmp_path / "best.pt", policy_content(loss, SIZES, config, SCENARIO, {}))
     if fits:
         (record,) = run_method(other, load_policy(tmp_path / "best.pt", other), [0])
