@@ -20,7 +20,7 @@ from nfv_torchrl.evaluation.statistics import Interval, mean_interval
 from nfv_torchrl.evaluation.tables import UNDEFINED, Table
 from nfv_torchrl.experiments.cells import Cell, CellStore, make_cell
 from nfv_torchrl.experiments.drawing import panel_figure
-from nfv_torchrl.experiments.rows import cost_ratios, lowest, together, values
+from nfv_torchrl.experiments.rows import LOWEST, cost_ratios, lowest, together, values
 from nfv_torchrl.experiments.transfer import POLICY, is_policy
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.training.cli import recipe_configs
@@ -34,7 +34,6 @@ MEASURES = {
     "unproved": ",.1f",
 }
 """What a table shows of every method, where its runs have it; ``unproved`` only if it is not zero everywhere."""
-LOWEST = "aar_difference_lowest"
 Rows = list[dict[str, Any]]
 
 

@@ -17,6 +17,8 @@ from nfv_torchrl.experiments.work import read_costs
 
 Rows = list[dict[str, Any]]
 PAIRED = ("aar", "anuc")
+LOWEST = "aar_difference_lowest"
+"""The metric of ``lowest``."""
 
 
 def values(result: Mapping[str, Any], metric: str) -> list[float]:

@@ -14,7 +14,7 @@ from nfv_torchrl.evaluation.pivot import Column, pivot, result_row
 from nfv_torchrl.evaluation.statistics import mean_interval
 from nfv_torchrl.evaluation.tables import Table
 from nfv_torchrl.experiments.cells import Cell, CellStore
-from nfv_torchrl.experiments.rows import cost_ratios, lowest, together, values
+from nfv_torchrl.experiments.rows import LOWEST, cost_ratios, lowest, together, values
 from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.vocabulary import TABLE
 
@@ -102,7 +102,7 @@ def _paired_rows(about: Mapping[str, Any], policies: Sequence[Cell], key: str, o
         result_row(about, POLICY, "paired_cost", together(costs), key),
     ]
     if len(policies) > 1:
-        rows.append(result_row(about, POLICY, "aar_difference_lowest", lowest(differences), key))
+        rows.append(result_row(about, POLICY, LOWEST, lowest(differences), key))
     return rows
 
 
@@ -116,11 +116,11 @@ def transfer_tables(rows: Rows, methods: Sequence[str], about: str) -> list[Tabl
     """
     others = [key for key in methods if not is_policy(key)]
     bounds = dict.fromkeys(row["method"] for row in rows if row["metric"] == "aar_bound")
-    seeds_to = dict.fromkeys(row["reference"] for row in rows if row["metric"] == "aar_difference_lowest")
+    seeds_to = dict.fromkeys(row["reference"] for row in rows if row["metric"] == LOWEST)
     columns = [
         *(Column("aar", ".4f", key) for key in (*others, POLICY)),
         *(Column("aar_difference", "+.4f", POLICY, key) for key in others),
-        *(Column("aar_difference_lowest", "+.4f", POLICY, key, f"lowest training seed to {key}") for key in seeds_to),
+        *(Column(LOWEST, "+.4f", POLICY, key, f"lowest training seed to {key}") for key in seeds_to),
         *(Column("paired_cost", ".3f", POLICY, key) for key in others),
         *(Column("aar_bound", ".4f", kind) for kind in bounds),
     ]

@@ -74,8 +74,8 @@ class PriceNetwork(nn.Module):
     Args:
         hidden: neurons of the hidden layer of each of the three functions.
         begin: ``myopic_optimal`` (all zero), ``priced`` or ``priced_admit``: near the hand-tuned rule of that name.
-        learn_prices: whether prices are learned too. If not, they stay as they begin and only the refusal is learned: a
-            tenth of the work where searches at raised prices are slow.
+        learn_prices: whether prices are learned too. If not, they stay as they begin and only the refusal is learned:
+            far less work where searches at raised prices are slow.
         price_unit: prices and priced costs are in this many mean unit costs of the network's VMs, so it says how large
             the steps of a search are.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from inprocess import call
+from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tiny import ROOT
 
@@ -98,6 +99,8 @@ def test_the_preset_of_a_refusal_alone(tmp_path):
     )
     best = load_file(folder / "best.pt")
     assert best["policy"]["labels"] == 50
+    fitness = OmegaConf.load(folder / "config.yaml").fitness
+    assert (fitness.bound, fitness.cost_weight, fitness.saving_weight) == (False, 0, 0)
     assert not best["weights"]["network.vm.linear"].any() and best["weights"]["network.admit.linear"].any()
 
 
