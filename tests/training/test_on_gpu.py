@@ -81,7 +81,9 @@ def test_an_update_agrees_with_the_cpu_and_does_not_wait(recipe, choice):
     assert all(torch.isfinite(value) for value in learned.values())
     if all(torch.equal(here[key], again[key]) for key in here.keys()):  # nothing is drawn in an update
         for key, value in here.items():
-            torch.testing.assert_close(learned[key].cpu(), value, rtol=1e-3, atol=1e-4, msg=lambda m, k=key: f"{k}: {m}")
+            torch.testing.assert_close(
+                learned[key].cpu(), value, rtol=1e-3, atol=1e-4, msg=lambda m, k=key: f"{k}: {m}"
+            )
     if choice not in WAITS:
         with no_waiting():
             _update(there, moved)
