@@ -79,7 +79,9 @@ def test_an_update_agrees_with_the_cpu_and_does_not_wait(recipe, choice):
     assert {value.device.type for value in learned.values()} == {"cuda"}
     assert {part.device.type for part in (*there.actor.parameters(), *there.actor.buffers())} == {"cuda"}
     assert all(torch.isfinite(value) for value in learned.values())
-    if all(torch.equal(here[key], again[key]) for key in here.keys()):  # nothing is drawn in an update
+    if all(
+        torch.equal(*pair) for pair in zip(here.values(), again.values(), strict=True)
+    ):  # nothing is drawn in an update
         for key, value in here.items():
             torch.testing.assert_close(
                 learned[key].cpu(), value, rtol=1e-3, atol=1e-4, msg=lambda m, k=key: f"{k}: {m}"
