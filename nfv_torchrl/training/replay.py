@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torchrl
 from hydra.utils import instantiate
 from tensordict import TensorDictBase
+from torchrl import _torchrl
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.data import LazyMemmapStorage, PrioritizedSampler, TensorDictReplayBuffer
 from torchrl.data.replay_buffers.storages import TensorStorage
@@ -25,6 +27,7 @@ from nfv_torchrl.errors import ScenarioError, one_line
 from nfv_torchrl.scenario.limits import check_memory
 from nfv_torchrl.training.disk import tensor_bytes
 from nfv_torchrl.training.memory import MemoryState
+from nfv_torchrl.training.setup import check_device
 
 _TRIED = 4
 """Items in a batch of the trial."""
@@ -42,12 +45,13 @@ def make_buffer(
         parts: ``storage``, ``sampler`` and ``writer``, a mapping with ``_target_`` each.
         size: items at most; the storage gets it as ``max_size``, and a sampler that wants it as ``max_capacity``.
         batch_size: items drawn at a time.
-        device: where the learner is, and the items unless ``storage.device`` says otherwise.
+        device: where the learner is, and the items unless ``storage.device`` says otherwise. Items that are drawn by
+            priority stay on the CPU where this TorchRL has no trees of priorities for a GPU; PyPI's wheel has none.
 
     Raises:
-        ScenarioError: the storage is none that can be saved.
+        ScenarioError: the storage is none that can be saved, or lies where its sampler cannot draw.
     """
-    storage = instantiate(parts["storage"], max_size=size, **_device(parts["storage"], device))
+    storage = instantiate(parts["storage"], max_size=size, **_device(parts, device))
     if not isinstance(storage, TensorStorage) or storage.ndim != 1:
         raise ScenarioError(
             f"buffer.storage: {type(storage).__name__} does not hold items in tensors one after the other, as "
@@ -166,8 +170,32 @@ def _arguments(spec: Mapping[str, Any]) -> Mapping[str, inspect.Parameter]:
     return inspect.signature(made.__init__ if inspect.isclass(made) else made).parameters  # type: ignore[misc]
 
 
-def _device(storage: Mapping[str, Any], device: torch.device | str) -> dict[str, str]:
+def _device(parts: Mapping[str, Any], device: torch.device | str) -> dict[str, str]:
     """The learner's device for a storage that can be there; files cannot."""
-    if "device" in storage or issubclass(_class(storage), LazyMemmapStorage) or "device" not in _arguments(storage):
+    storage = parts["storage"]
+    if "device" in storage:
+        _check_device(parts)
         return {}
-    return {"device": str(device)}
+    if issubclass(_class(storage), LazyMemmapStorage) or "device" not in _arguments(storage):
+        return {}
+    return {"device": "cpu" if _draws_on_cpu(parts["sampler"]) else str(device)}
+
+
+def _check_device(parts: Mapping[str, Any]) -> None:
+    """Items can lie, and be drawn, where the settings say."""
+    place = check_device("buffer.storage.device", parts["storage"]["device"], "leave that key out")
+    if place.type == "cuda" and _draws_on_cpu(parts["sampler"]):
+        raise ScenarioError(
+            f"buffer.storage.device: this TorchRL ({torchrl.__version__}) has no trees of priorities on a GPU; leave "
+            "that key out, and the items stay on the CPU"
+        )
+
+
+def _draws_on_cpu(sampler: Mapping[str, Any]) -> bool:
+    """Whether it draws by priorities in trees that TorchRL was built without for a GPU."""
+    kind = _class(sampler)
+    return (
+        inspect.isclass(kind)
+        and issubclass(kind, PrioritizedSampler)
+        and not hasattr(_torchrl, "CudaSumSegmentTreeFp32")
+    )

@@ -34,11 +34,20 @@ def choose_device(name: str) -> torch.device:
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return check_device("device", name, "try device=auto")
+
+
+def check_device(key: str, name: str, remedy: str) -> torch.device:
+    """The device that the setting ``key`` names.
+
+    Raises:
+        ScenarioError: no such device, with what to do.
+    """
     try:
         device = torch.device(name)
         torch.zeros(1, device=device).item()
     except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise ScenarioError(f"device: {name} cannot be used here ({one_line(error)}); try device=auto") from error
+        raise ScenarioError(f"{key}: {name} cannot be used here ({one_line(error)}); {remedy}") from error
     return device
 
 

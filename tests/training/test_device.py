@@ -13,12 +13,15 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from tiny import ROOT
 from torch.utils._python_dispatch import TorchDispatchMode
+from torchrl import _torchrl
 
 from nfv_torchrl.env import NFVEnv
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.losses import q_network
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.scenario.scenario import paper_scenario
 from nfv_torchrl.simulator import Simulator
+from nfv_torchrl.training import replay
 from nfv_torchrl.training.learner import NoUpdater, gradient_step, target_updater
 from nfv_torchrl.training.replay import make_buffer, some_rows
 from nfv_torchrl.training.setup import make_loss
@@ -124,12 +127,41 @@ def test_waiting_is_seen(monkeypatch):
     assert seen == ["item", "item", "cpu", "tolist"]
 
 
-@pytest.mark.parametrize(("place", "learner", "pinned"), [("cpu", "cuda", True), ("cpu", "cpu", False)])
-def test_batches_on_their_way_to_a_gpu_are_pinned(place, learner, pinned):
-    parts = {
-        "storage": {"_target_": "torchrl.data.LazyTensorStorage", "device": place},
-        "sampler": {"_target_": "torchrl.data.RandomSampler"},
+UNIFORM = {"_target_": "torchrl.data.RandomSampler"}
+PRIORITIZED = {"_target_": "torchrl.data.PrioritizedSampler", "alpha": 0.6, "beta": 0.4}
+
+
+def parts(sampler, **storage):
+    return {
+        "storage": {"_target_": "torchrl.data.LazyTensorStorage", **storage},
+        "sampler": sampler,
         "writer": {"_target_": "torchrl.data.TensorDictRoundRobinWriter"},
     }
-    buffer = make_buffer(parts, size=4, batch_size=2, device=learner)
+
+
+@pytest.mark.parametrize(("place", "learner", "pinned"), [("cpu", "cuda", True), ("cpu", "cpu", False)])
+def test_batches_on_their_way_to_a_gpu_are_pinned(place, learner, pinned):
+    buffer = make_buffer(parts(UNIFORM, device=place), size=4, batch_size=2, device=learner)
     assert buffer._pin_memory is pinned
+
+
+@pytest.mark.parametrize(("trees", "place"), [(False, "cpu"), (True, "cuda")])
+def test_items_drawn_by_priority_are_where_torchrl_has_its_trees(trees, place, monkeypatch):
+    """PyPI's wheel has none on a GPU: ``dqn.py buffer=prioritized device=cuda`` ended at its first update."""
+    if trees:
+        monkeypatch.setattr(_torchrl, "CudaSumSegmentTreeFp32", object(), raising=False)
+    else:
+        monkeypatch.delattr(_torchrl, "CudaSumSegmentTreeFp32", raising=False)
+    buffer = make_buffer(parts(PRIORITIZED), size=4, batch_size=2, device="cuda:0")
+    assert (buffer._storage.device.type, buffer._pin_memory) == (place, place == "cpu")
+
+
+@pytest.mark.parametrize(
+    ("place", "message"), [("nowhere", "cannot be used here"), ("cuda:0", "no trees of priorities")]
+)
+def test_a_place_that_cannot_hold_the_items_is_refused(place, message, monkeypatch):
+    monkeypatch.delattr(_torchrl, "CudaSumSegmentTreeFp32", raising=False)
+    if place == "cuda:0":  # as on a machine that has one
+        monkeypatch.setattr(replay, "check_device", lambda key, name, remedy: torch.device(name))
+    with pytest.raises(ScenarioError, match=f"buffer.storage.device: .*{message}.*leave that key out"):
+        make_buffer(parts(PRIORITIZED, device=place), size=4, batch_size=2, device="cpu")

@@ -41,7 +41,7 @@ COLLECTED = [
 REPLAYED = ["buffer.size=100", "buffer.batch_size=8", "buffer.warmup_frames=32", "learner.updates=2"]
 DQN = {
     "mlp": ["preset=mlp"],
-    "pinned batches": ["preset=mlp", "+buffer.storage.device=cpu"],
+    "memory on the CPU": ["preset=mlp", "+buffer.storage.device=cpu"],
     "prioritized": ["preset=mlp", "buffer=prioritized"],
     "rainbow": ["preset=rainbow"],
     "two workers": ["preset=mlp", "collector=multi_sync"],
