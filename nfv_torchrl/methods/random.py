@@ -7,20 +7,45 @@ from collections.abc import Sequence
 import numpy as np
 
 from nfv_torchrl.scenario.streams import Stream, generator
+from nfv_torchrl.search.playing import has_room
 from nfv_torchrl.simulator import Simulator
-from nfv_torchrl.simulator.compiled import kernel
+from nfv_torchrl.simulator.compiled import kernel, part
+from nfv_torchrl.simulator.kernels import step_env
+from nfv_torchrl.simulator.state import OUTCOME
+
+
+@part
+def _pick(world, b, states):
+    """One of the valid actions of environment b, whose state is advanced."""
+    x = states[b]
+    x ^= x << np.uint64(13)
+    x ^= x >> np.uint64(7)
+    x ^= x << np.uint64(17)
+    states[b] = x
+    return np.int64(world.seen.valid[b, np.int64((x >> np.uint64(33)) % np.uint64(world.env[b].mask_count))])
 
 
 @kernel
-def pick_uniform(env, valid, states, actions):
+def pick_uniform(world, states, actions):
     """One of the valid actions of every environment; ``states`` uint64 [B] (xorshift, never 0) are advanced."""
     for b in range(actions.size):
-        x = states[b]
-        x ^= x << np.uint64(13)
-        x ^= x >> np.uint64(7)
-        x ^= x << np.uint64(17)
-        states[b] = x
-        actions[b] = valid[b, np.int64((x >> np.uint64(33)) % np.uint64(env[b].mask_count))]
+        actions[b] = _pick(world, b, states)
+
+
+@kernel
+def play_uniform(world, b, states):
+    """Play environment b to the end of its horizon, or until the simulator's pools run low (then call again).
+
+    Returns whether it is over.
+    """
+    while world.env[b].done == 0:
+        if not has_room(world, b):
+            return False
+        while True:
+            step_env(world, b, _pick(world, b, states))
+            if world.outcome[b, OUTCOME.request_done] > 0.0:
+                break
+    return True
 
 
 class RandomMethod:
@@ -40,11 +65,15 @@ class RandomMethod:
         """See ``Method``."""
         states = [generator(seed, Stream.EXPLORATION).integers(1, 2**63) for seed in seeds]
         self._states = np.array(states, np.uint64)
-        none = np.zeros(0, np.int64)
-        pick_uniform(simulator.world.env, simulator.world.seen.valid, self._states, none)
+        pick_uniform(simulator.world, self._states, np.zeros(0, np.int64))  # compiles
 
     def act(self, simulator: Simulator) -> np.ndarray:
         """See ``Method``."""
         actions = np.empty(simulator.batch_size, np.int64)
-        pick_uniform(simulator.world.env, simulator.world.seen.valid, self._states, actions)
+        pick_uniform(simulator.world, self._states, actions)
         return actions
+
+    def play(self, simulator: Simulator, b: int) -> None:
+        """See ``WholePlay``."""
+        while not play_uniform(simulator.world, b, self._states):
+            simulator.make_room_for(b)

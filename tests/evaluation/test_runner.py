@@ -16,6 +16,7 @@ from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import MOST_TOGETHER, run_method, scenario_for
 from nfv_torchrl.methods import PlannerMethod, PolicyMethod, RandomMethod, WholeWalks
+from nfv_torchrl.methods.base import WholePlay
 from nfv_torchrl.planners import GreedyPlanner, MyopicPlanner
 from nfv_torchrl.scenario import paper_scenario
 from nfv_torchrl.simulator.reasons import Reason
@@ -73,12 +74,18 @@ class Careless(GreedyPlanner):
                 plans[b, 0] = -1
 
 
-@pytest.mark.parametrize("planner", [MyopicPlanner(), Careless()])
+WHOLE = [
+    PlannerMethod(MyopicPlanner(), name="myopic_optimal"),
+    PlannerMethod(Careless(), name="careless"),
+    RandomMethod(),
+]
+
+
+@pytest.mark.parametrize("method", WHOLE, ids=lambda method: method.name)
 @pytest.mark.parametrize("changes", [{}, {"step_budget": "slot", "max_steps": 8}, {"mask": "feasible"}])
 @pytest.mark.parametrize("threads", [1, 2])
-def test_whole_walks_are_those_of_single_steps(planner, changes, threads):
-    method = PlannerMethod(planner, name="planner")
-    assert isinstance(method, WholeWalks)
+def test_whole_walks_and_horizons_are_those_of_single_steps(method, changes, threads):
+    assert isinstance(method, WholeWalks | WholePlay)
     runs = (run_method(small_scenario(**changes), each, [0, 1, 2], threads=threads)
             for each in (method, StepByStep(method)))  # fmt: skip
     for whole, single in zip(*runs, strict=True):
@@ -189,10 +196,10 @@ def test_decisions_are_timed_by_the_clock_that_is_given():
     ticks = iter(range(10**6))
     decisions = []
 
-    class Counting(RandomMethod):
-        def act(self, simulator):
-            decisions.append(1)
-            return super().act(simulator)
+    class Counting(StepByStep):
+        def __init__(self):
+            super().__init__(method := RandomMethod())
+            self.act = lambda simulator: decisions.append(1) or method.act(simulator)
 
     records = run_method(small_scenario(horizon=4), Counting(), [0, 1], clock=lambda: float(next(ticks)))
     assert sum(record.seconds for record in records) == pytest.approx(len(decisions))
