@@ -30,6 +30,7 @@ from nfv_torchrl.observations.menu import ROW, ROW_SERVICE, SERVICE, STATE, Menu
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.planners.priced import fill_prices
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
+from nfv_torchrl.plans.planner import PER_STAY
 from nfv_torchrl.rewards import admission_regret
 from nfv_torchrl.search.cheapest import plan_cheapest, plan_within
 from nfv_torchrl.search.walks import Prices
@@ -385,6 +386,37 @@ def test_values_by_hand():
     with torch.no_grad():
         free.price[-1].bias.copy_(torch.tensor([0.0, 1.0, 2.0]))
     assert free(seen.expand(7, -1))[0, 0].tolist() == [1, 0, -1]
+
+
+@pytest.mark.parametrize(
+    ("lifetime", "learned", "acting"), [(1.0, 0.75, 2.0), (2.0, 1.0, 4.0), (5.0, 1.75, 10.0), (100.0, 3.0, 20.0)]
+)
+def test_stays_are_charged_by_hand(lifetime, learned, acting):
+    """The mean lifetime is 2 s. Learned: half a price, and half of one for each mean lifetime, of which 5 at most."""
+    for seen, per_stay, charged in ((True, None, learned), (True, PER_STAY, acting), (False, PER_STAY, 1.0)):
+        env = PlanEnv(toy.toy_scenario(observe_lifetime=seen), 1, menus=Menus([0.0, 10.0], per_stay=per_stay))
+        env.reset()
+        env.simulator.start(0, toy.workload_of((0, toy.DUO, 0, 3, lifetime)))
+        env._stale[:] = True
+        assert env._observe()["observation"][0, STATE.stay] == charged
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_policy_that_acts_charges_for_the_whole_stay(compiled):
+    """A bid price of 0.25 for each unit of demand, which is 1.2: half the mean stay costs 0.6, twice the mean 2.4."""
+    scenario = toy.toy_scenario(observe_lifetime=True, admission_control=True)
+    taken = []
+    for planner in (MenuPlanner([0.0, 10.0]), MenuPlanner([0.0, 10.0], per_stay=None)):
+        sizes = planner.sizes(Simulator(scenario, 1))
+        network = MenuNetwork(sizes, hidden=[4])
+        torch.nn.init.constant_(network.price[-1].bias, 0.25)
+        planner.follow(greedy_actor(network, sizes.actions))
+        if not compiled:
+            planner._prices = None
+        requests = [toy.workload_of((0, toy.DUO, 0, 3, 4.0), (1, toy.DUO, 0, 3, 1.0))]
+        method = planner_method(planner, name="x")
+        taken.append(run_method(scenario, method, [0], workloads=requests)[0].accepted.tolist())
+    assert taken == [[False, True], [True, True]]
 
 
 def test_gymnasium_accepts_it_and_it_is_environment_0():

@@ -103,6 +103,7 @@ def load_policy(
     name: str = "checkpoint",
     trusted_packages: Sequence[str] = (),
     compiled: bool = False,
+    planner: Mapping[str, Any] | None = None,
 ) -> Method:
     """The greedy policy of a file (``best.pt`` of a run) for ``scenario``.
 
@@ -121,19 +122,22 @@ def load_policy(
         trusted_packages: packages of your own whose classes the file may name too. Importing them runs their code.
         compiled: decide without torch where the network allows it: the same decisions up to rounding, many times as
             fast. Decision times are then not those of the network through torch.
+        planner: settings of the planner that asks the policy, in place of the file's: ``{"per_stay": 2.0}``.
 
     Raises:
         CheckpointError: unreadable, made for another network, or with anything in it that a policy has not.
     """
     content = _read(path)
     kind = content["kind"]
+    if planner:
+        content = {**content, "planner": _replaced(path, content["planner"], planner)}
     make = {part: factory(path, part, content[part], trusted_packages) for part in KINDS[kind]}
     given = [scenario] if isinstance(scenario, Scenario) else scenario
     scenarios = given[:1] if play_apart(given) else fit_one_batch(given)
     simulator = Simulator(scenarios, len(scenarios), one_hot=content["one_hot"])
     with building(path, content["weights"]):
-        planner = make["planner"]() if kind == "planner" else None
-        sizes = planner.sizes(simulator) if planner else _as_trained(Sizes.of(simulator), content, make["network"])
+        asking = make["planner"]() if kind == "planner" else None
+        sizes = asking.sizes(simulator) if asking else _as_trained(Sizes.of(simulator), content, make["network"])
         module = make["policy" if kind == "evolved" else "loss"](network=make["network"], sizes=sizes)
         network = module.network if kind == "evolved" else q_network(module)
     _check_fit(path, content, sizes, network, scenarios[0])
@@ -142,8 +146,8 @@ def load_policy(
     if kind == "evolved":
         return module.eval().method(name)
     module.actor.eval()
-    if planner:
-        return planner_method(planner.follow(module.actor), name=name)
+    if asking:
+        return planner_method(asking.follow(module.actor), name=name)
     acting = fastest_method if compiled else acting_method
     return acting(
         module.actor,
@@ -153,6 +157,14 @@ def load_policy(
         mask=content["mask"],
         decides_admission=content["admission_control"],
     )
+
+
+def _replaced(path: str | os.PathLike[str], own: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    if not own or "_target_" in settings:
+        raise CheckpointError(
+            f"{path}: planner={dict(settings)}: only the settings of a planner's policy can be replaced"
+        )
+    return {**own, **settings}
 
 
 def _as_trained(sizes: Sizes, content: Mapping[str, Any], network: Callable) -> Sizes:

@@ -34,8 +34,8 @@ class LookaheadNetwork(QNetwork):
     raised prices. $\phi_w$ is the cost of the whole walk, $\phi_0$ the least cost when the request came: the first two
     terms are the reward of ``admission_regret``. $\pi_w$ is what the walk costs at raised prices, so $\lambda$ says how
     much it is worth to spare what is nearly used up. g is a bid price for each unit of demand, the load l of the chain
-    over the mean over services (of several kinds of resources the largest), times its expected stay $\tau$ (1 where
-    lifetimes are hidden): whether to serve the request at all. V says how good the state is.
+    over the mean over services (of several kinds of resources the largest), times its stay $\tau$ in mean
+    lifetimes (1 where they are hidden): whether to serve the request at all. V says how good the state is.
 
     V, $\lambda$ and g are two small perceptrons of the state that begin at zero: no row is reordered by anything that
     was learned about a row, only prices are. Untrained, the network takes the cheapest walk: with ``exact`` that of
@@ -92,7 +92,7 @@ class LookaheadNetwork(QNetwork):
 
     def forward(self, features: Tensor, action: Tensor, row_mask: Tensor, state: Tensor, action_mask: Tensor) -> Tensor:
         """Values of all actions."""
-        demand, seen = state.split([FACTORS, state.shape[-1] - FACTORS], -1)
+        factors, seen = state.split([FACTORS, state.shape[-1] - FACTORS], -1)
         spare, bid = self.prices(seen).unsqueeze(-2).split(self.outputs, -1)
         value = self.value(seen).unsqueeze(-2)
         # Never below zero; but the gradient goes on there, so that what fell to zero can rise again.
@@ -104,11 +104,25 @@ class LookaheadNetwork(QNetwork):
                 (features[..., ROW.spare_cost, None], features[..., ROW.spare_regret, None]),
             )
         ]
-        gain = torch.maximum(*ways) - demand.unsqueeze(-1) * bid - TIE * (1.0 - features[..., ROW.planned, None])
+        gain = (
+            torch.maximum(*ways)
+            - self._paid(bid, *factors.unsqueeze(-2).split(1, -1))
+            - TIE * (1.0 - features[..., ROW.planned, None])
+        )
         dead = torch.full_like(gain, -DEAD)
         gain = torch.where(features[..., ROW.fits, None] > 0, gain, dead)
         gain = gain.masked_fill(features[..., ROW.reject, None] > 0, 0.0)
         return self._place(value + gain, action, row_mask, action_mask)
+
+    def _paid(self, bid: Tensor, demand: Tensor, stay: Tensor) -> Tensor:
+        """The bid price for the whole stay.
+
+        What follows a request hardly tells a short stay from a long one. So a long stay must not pull more at the price
+        than a short one, as its factor would make it: fitted like that, prices are too low for the usual stay, the
+        more so the more stays differ. The gradient leaves the factor out.
+        """
+        once = demand * bid
+        return once + (once * (stay - 1.0)).detach()
 
     def _place(self, scores: Tensor, action: Tensor, row_mask: Tensor, action_mask: Tensor) -> Tensor:
         """The rows' scores [..., C, outputs] at the places of their actions; padding writes to a column that is cut

@@ -23,8 +23,13 @@ from nfv_torchrl.simulator.tables import Tables
 LONGEST_STAY = 5.0
 """Lifetimes are seen up to this multiple of their mean."""
 AT_ONCE = 0.5
-"""Share of what a request of mean lifetime takes from others that it takes by coming, however short it stays: on a full
-network even a short stay displaces the next requests. The rest is in proportion to its lifetime."""
+"""As bid prices are learned, share of what a request of mean lifetime is charged for coming, however short it stays.
+The rest is in proportion to its lifetime.
+
+What follows a request hardly tells a short stay from a long one, so what is learned is the price of a usual stay. A
+policy that acts (``MenuPlanner``) charges for the stay alone, since a walk holds its share of the
+network just as long. It charges several bid prices for a stay of mean length: with short stays preferred, one long stay
+displaces many of them."""
 MOST_REGRET = 5.0
 """Costs are seen up to this multiple above the least."""
 
@@ -33,7 +38,7 @@ class StateFeatures(NamedTuple):
     """Numbers of the network and the request."""
 
     demand: int  # load of the chain over the mean over services
-    stay: int  # AT_ONCE, and the rest in proportion to the lifetime: see AT_ONCE; 1 where lifetimes are hidden
+    stay: int  # what the lifetime makes of a bid price, see ``stay_of``; 1 where lifetimes are hidden
     log_demand: int
     rate: int  # log of the rate over the mean over services, over 4
     near: int  # least delay of hops from ingress to egress over the tolerable delay
@@ -125,10 +130,19 @@ class MenuView(NamedTuple):
     cut: np.ndarray  # int64 [N], free on the links of the node
     ends: np.ndarray  # float64 [N], room on the links of the node if one of the latest requests ends there, else 1
     place: np.ndarray  # int64 [F, 3], node, VM and ledger units of each function of a walk
+    at_once: float  # of ``stay_of``
+    per_stay: float
 
 
-def make_menu_view(tables: Tables) -> MenuView:
-    """``MenuView`` for any network and service of ``tables``."""
+def charges(per_stay: float | None) -> dict[str, float]:
+    """How stays are charged, see ``stay_of``: in proportion by ``per_stay``, None: as bid prices are learned."""
+    if per_stay is None:
+        return {"at_once": AT_ONCE, "per_stay": 1.0 - AT_ONCE}
+    return {"at_once": 0.0, "per_stay": float(per_stay)}
+
+
+def make_menu_view(tables: Tables, per_stay: float | None) -> MenuView:
+    """``MenuView`` for any network and service of ``tables``, with stays charged by ``charges(per_stay)``."""
     _, nodes, _, _ = tables.vm_capacity.shape
     services, functions = tables.services, tables.load.shape[1]
     counts = np.maximum(tables.vm_count.sum(axis=1), 1)
@@ -144,6 +158,7 @@ def make_menu_view(tables: Tables) -> MenuView:
         cut=np.zeros(nodes, np.int64),
         ends=np.zeros(nodes),
         place=np.zeros((functions, 3), np.int64),
+        **charges(per_stay),
     )
 
 
@@ -153,12 +168,13 @@ def _room(free, reference):
 
 
 @part
-def stay_of(world, b):
-    """What the lifetime of the request in hand makes of its price: see AT_ONCE; 1 where lifetimes are hidden."""
+def stay_of(world, b, at_once, per_stay):
+    """What the lifetime of the request in hand makes of its bid price: ``at_once``, and ``per_stay`` for each mean
+    lifetime that it stays. 1 where lifetimes are hidden."""
     mean = world.mean_lifetime[b]
     if mean <= 0.0:
         return 1.0
-    return AT_ONCE + (1.0 - AT_ONCE) * min(world.env[b].lifetime / mean, LONGEST_STAY)
+    return at_once + per_stay * min(world.env[b].lifetime / mean, LONGEST_STAY)
 
 
 @part
@@ -210,7 +226,7 @@ def _describe_state(world, b, own, menu, state):
     demand = own.needs.chain_units[service] / own.reference_load
     used = world.ledger.vm_used[b, 0] / tables.vm_total[net, 0]
     state[STATE.demand] = demand
-    state[STATE.stay] = stay_of(world, b)
+    state[STATE.stay] = stay_of(world, b, own.at_once, own.per_stay)
     state[STATE.log_demand] = 0.5 * np.log(demand)
     state[STATE.rate] = np.log(own.rate_units[service] / own.reference_rate) / 4.0
     near = tables.delay_to[net, tables.least_rate[service], e.ingress, e.egress]

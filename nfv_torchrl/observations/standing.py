@@ -24,8 +24,9 @@ MOST = 20.0
 class StateFeatures(NamedTuple):
     """Numbers of the network and the request, the same for all rows."""
 
-    bid_for: int  # demand, times what its lifetime makes of its price where lifetimes are seen, see ``menu.stay_of``
-    log_demand: int  # of the load of the chain over the mean over services; of several kinds of resources the largest
+    demand: int  # load of the chain over the mean over services; of several kinds of resources the largest
+    stay: int  # lifetime in mean lifetimes, at most LONGEST_STAY; 1 where lifetimes are hidden
+    log_demand: int
     size: int  # log of the load of the chain over the capacity of a mean VM, over 5
     rate: int  # log of 1 + the highest rate over that of the mean link, over 5
     vm_used: int  # used share of all VM capacity
@@ -44,7 +45,7 @@ class StateFeatures(NamedTuple):
 
 
 STATE = columns(StateFeatures)
-FACTORS = 1
+FACTORS = 2
 """The first columns, which a price is multiplied by; perceptrons see the others."""
 
 
@@ -89,7 +90,8 @@ def write_state(world, b, own, scales, state):
     demand = scales.demand[profile]
     used = used_vm_share(world, b)
     link_used = e.link_used / tables.link_total[net]
-    state[STATE.bid_for] = demand * stay_of(world, b)
+    state[STATE.demand] = demand
+    state[STATE.stay] = stay_of(world, b, 0.0, 1.0)
     state[STATE.log_demand] = 0.5 * np.log(max(demand, 1e-3))
     state[STATE.size] = np.log(max(scales.chain[profile] / scales.mean_capacity[net], 1e-9)) / 5.0
     state[STATE.rate] = np.log(1.0 + scales.rate[profile] / scales.mean_speed[net]) / 5.0

@@ -46,6 +46,8 @@ class Menus:
     Args:
         levels: p of each walk, in mean unit costs of the network's VMs, rising from 0.
         steepness: M, how late prices rise.
+        per_stay: bid prices that a stay of the mean lifetime is charged where lifetimes are seen, in proportion to the
+            stay; None: half of one for coming, and half in proportion, as in training.
 
     Attributes:
         menu: the walks, after ``make``.
@@ -60,8 +62,14 @@ class Menus:
     own: MenuScratch
     view: MenuView
 
-    def __init__(self, levels: Sequence[NotNegative] = LEVELS, steepness: AboveOne = STEEPNESS) -> None:
+    def __init__(
+        self,
+        levels: Sequence[NotNegative] = LEVELS,
+        steepness: AboveOne = STEEPNESS,
+        per_stay: NotNegative | None = None,
+    ) -> None:
         self.level, self.steepness = check_levels(levels), float(steepness)
+        self._per_stay = per_stay
         self._tables: Tables | None = None
 
     def shape(self, tables: Tables) -> MenuShape:
@@ -79,7 +87,7 @@ class Menus:
         if self._tables is not world.tables:
             self._tables = world.tables
             self.own = make_menu_scratch(world.tables, self.level, self.steepness)
-            self.view = make_menu_view(world.tables)
+            self.view = make_menu_view(world.tables, self._per_stay)
         elif len(self.flat) == batch and self.menu.action.shape[2] == world.rules.max_steps:
             return
         self.menu = make_menu(world.rules, batch, len(self.level))

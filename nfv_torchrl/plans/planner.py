@@ -29,6 +29,10 @@ from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.state import World
 
+PER_STAY = 4.0
+"""What a stay of the mean lifetime is charged, in bid prices, where lifetimes are seen; chosen on networks of its own
+(docs/results/plans.md)."""
+
 
 class Prices(NamedTuple):
     """A ``MenuNetwork`` as compiled code takes it: what decides between walks and reject; V is the same for all."""
@@ -93,10 +97,16 @@ class MenuPlanner(Planner):
     Args:
         levels: price levels of the menu, as in ``Menus``.
         steepness: as in ``Menus``.
+        per_stay: as in ``Menus``.
     """
 
-    def __init__(self, levels: Sequence[NotNegative] = LEVELS, steepness: AboveOne = STEEPNESS) -> None:
-        self.menus = Menus(levels, steepness)
+    def __init__(
+        self,
+        levels: Sequence[NotNegative] = LEVELS,
+        steepness: AboveOne = STEEPNESS,
+        per_stay: NotNegative | None = PER_STAY,
+    ) -> None:
+        self.menus = Menus(levels, steepness, per_stay)
         self._actor: Any = None
         self._prices: Prices | None = None
 

@@ -89,6 +89,20 @@ def test_compiled_it_decides_the_same_under_the_name_and_mask_of_its_file(tmp_pa
     assert_same_decisions(slow, fast)
 
 
+def test_settings_of_the_planner_can_be_replaced_and_nothing_else(tmp_path):
+    _, content = nfvdeep()
+    save_policy(tmp_path / "policy.pt", content)
+    other, own = (
+        load_policy(tmp_path / "policy.pt", SCENARIO, planner=change) for change in ({"route": "delay"}, None)
+    )
+    assert own.planner.options.by_cost and not other.planner.options.by_cost
+    with pytest.raises(CheckpointError, match="only the settings"):
+        load_policy(tmp_path / "policy.pt", SCENARIO, planner={"_target_": "nfv_torchrl.nfvdeep.NFVdeepPlanner"})
+    save_policy(tmp_path / "actor.pt", dqn()[1])
+    with pytest.raises(CheckpointError, match="only the settings"):
+        load_policy(tmp_path / "actor.pt", SCENARIO, planner={"route": "delay"})
+
+
 @pytest.mark.parametrize(("make", "kind"), KINDS)
 def test_the_first_format_is_read(make, kind, tmp_path):
     """It kept an evolved policy under ``loss`` and did not say what a policy is."""

@@ -180,7 +180,7 @@ def test_values_by_hand():
         network.value[-1].bias.fill_(3.0)
         network.prices[-1].bias.copy_(torch.tensor([2.0, 0.25]))  # lambda and g
     features, state = torch.zeros(4, len(FEATURES)), torch.zeros(len(STATE))
-    state[STATE.bid_for] = 2.0
+    state[STATE.demand], state[STATE.stay] = 2.0, 1.0
     features[0, ROW.reject] = 1
     for row, (cost, regret, spare_cost, spare_regret, is_planned) in enumerate(
         [(1.0, 0.3, 1.0, 0.3, 1), (1.4, 0.0, 1.2, 0.1, 0)], 1
@@ -192,17 +192,24 @@ def test_values_by_hand():
     values = network(features, torch.tensor([3, 0, 2, 3]), mask, state, torch.ones(4, dtype=torch.bool))
     # V + 1 - 0.5 (cost - 1) - 2 regret - 2 * 0.25, of the better way; reject: V; no row: 0.
     assert values.tolist() == pytest.approx([3 + 1 - 0.6 - 0.5, 0, 3 + 1 - 0.2 - 0.5, 3], abs=1e-4)
-    assert FACTORS == 1
+    # A stay three times as long pays three times the bid. What is learned of the bid does not grow with the stay.
+    state[STATE.stay] = 3.0
+    values = network(features, torch.tensor([3, 0, 2, 3]), mask, state, torch.ones(4, dtype=torch.bool))
+    assert values[0].item() == pytest.approx(3 + 1 - 0.6 - 3 * 0.5, abs=1e-4)
+    values[0].backward()
+    assert network.prices[-1].bias.grad[1].item() == -2.0
+    assert FACTORS == 2
 
 
 def test_a_bid_is_for_the_demand_and_where_lifetimes_are_seen_for_the_stay():
-    """A duo takes 30 Mcycles/s and services 25 on average. Half of a bid is for coming; the mean lifetime is 2 s."""
-    for shown, stays in ((False, (1.0, 1.0, 1.0)), (True, (1.0, 0.75, 3.0))):
+    """A duo takes 30 Mcycles/s and services 25 on average. The mean lifetime is 2 s, and 5 of these are the most."""
+    for shown, stays in ((False, (1.0, 1.0, 1.0)), (True, (1.0, 0.5, 5.0))):
         simulator = Simulator(toy_scenario(mask="feasible", observe_lifetime=shown), 3)
         for b, lifetime in enumerate((2.0, 1.0, 100.0)):
             simulator.start(b, workload_of((0, DUO, 0, 3, lifetime)))
         state = LookaheadObservation().read(simulator)["lookahead"]["state"]
-        assert state[:, STATE.bid_for].tolist() == pytest.approx([1.2 * stay for stay in stays])
+        assert state[:, STATE.demand].tolist() == pytest.approx([1.2] * 3)
+        assert state[:, STATE.stay].tolist() == pytest.approx(stays)
         assert state[:, STATE.log_demand].tolist() == pytest.approx([0.5 * math.log(1.2)] * 3)
 
 
