@@ -40,12 +40,13 @@ class LearningCurves:
         for group in GROUPS:
             for world in self._worlds(study):
                 rows += self._rows(study, store, world, group)
-        seeds = len(self._seeds(study))
+        count = len(self._seeds(study))
+        over = f"{count} training seeds" if count > 1 else "1 training seed"
         notes = " ".join(self._note(study, store, world) for world in self._worlds(study))
         figure = panel_figure(
             rows,
             title=f"{METRICS[self.metric]} of DQN-AR while it trains{self._where(study)}",
-            caption=f"{study.about([AGENT])}\n{seeds} training seed{'s' if seeds > 1 else ''}. {notes}",
+            caption=f"{study.about([AGENT], over)}\n{notes}",
             x_label="frames (decisions) of training",
             y_label=METRICS[self.metric],
         )

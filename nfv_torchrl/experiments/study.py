@@ -182,14 +182,15 @@ class Study:
             self._configs[name, overrides] = {key: config[key] for key in config if key not in NO_MATTER}
         return self._configs[name, overrides]
 
-    def about(self, agents: Collection[str] | None = None) -> str:
+    def about(self, agents: Collection[str] | None = None, over: str | None = None) -> str:
         """What every caption says: the effort behind the figure, and where agents are missing and why.
 
         Args:
             agents: the trained methods that the figure shows, where there are any; null: all.
+            over: what means and intervals are over; null: the workload seeds.
         """
         budget = self.budget
-        seeds = f"{len(self.seeds)} workload seeds" if len(self.seeds) > 1 else "1 workload seed"
+        seeds = over or (f"{len(self.seeds)} workload seeds" if len(self.seeds) > 1 else "1 workload seed")
         seen = "seen" if self.base["observe_lifetime"] else "hidden"
         told = [
             f"Budget {budget['name']}: {seeds} (bars and bands: 95 % intervals), scenario seed {self.base['seed']}, "
