@@ -120,7 +120,7 @@ class LookaheadPlay:
         """Allocate what playing in the simulator of ``world`` needs."""
         network = self._network
         self._looking = Looking(exact=network.exact, price=network.at)
-        self._scales = state_scales(world.tables)
+        self._scales = state_scales(world.tables, network.at_once)
         rows = np.zeros((candidate_rows(world.tables, world.rules), len(FEATURES)), np.float32)
         state = np.zeros(len(STATE), np.float32)
         self._own = Deciding(self._prices, network.w_acc, network.w_cost, rows, state)

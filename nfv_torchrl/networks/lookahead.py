@@ -11,8 +11,9 @@ from nfv_torchrl.networks.base import QNetwork, Sizes
 from nfv_torchrl.networks.layers import perceptron
 from nfv_torchrl.observations import ObservationPart
 from nfv_torchrl.observations.lookahead import PRICE, ROW, LookaheadObservation
+from nfv_torchrl.observations.menu import AT_ONCE
 from nfv_torchrl.observations.standing import FACTORS, STATE
-from nfv_torchrl.settings.values import Activation, NotNegative, Width
+from nfv_torchrl.settings.values import Activation, NotNegative, Share, Width
 
 TIE = 1e-5
 """What is taken off rows that are not on the cheapest walk, so that of equals the one that is known to go on is
@@ -34,8 +35,8 @@ class LookaheadNetwork(QNetwork):
     raised prices. $\phi_w$ is the cost of the whole walk, $\phi_0$ the least cost when the request came: the first two
     terms are the reward of ``admission_regret``. $\pi_w$ is what the walk costs at raised prices, so $\lambda$ says how
     much it is worth to spare what is nearly used up. g is a bid price for each unit of demand, the load l of the chain
-    over the mean over services (of several kinds of resources the largest), times its stay $\tau$ in mean
-    lifetimes (1 where they are hidden): whether to serve the request at all. V says how good the state is.
+    over the mean over services (of several kinds of resources the largest), times what its stay makes of it, $\tau$ (1
+    where lifetimes are hidden): whether to serve the request at all. V says how good the state is.
 
     V, $\lambda$ and g are two small perceptrons of the state that begin at zero: no row is reordered by anything that
     was learned about a row, only prices are. Untrained, the network takes the cheapest walk: with ``exact`` that of
@@ -52,6 +53,7 @@ class LookaheadNetwork(QNetwork):
         price: likewise, of the raised prices.
         w_acc: of the reward.
         w_cost: of the reward.
+        at_once: see ``LookaheadObservation``; 0: all is paid in proportion to the stay.
     """
 
     in_keys = (
@@ -75,9 +77,10 @@ class LookaheadNetwork(QNetwork):
         price: NotNegative = PRICE,
         w_acc: NotNegative = 1.0,
         w_cost: NotNegative = 0.1,
+        at_once: Share = AT_ONCE,
     ) -> None:
         super().__init__()
-        self.outputs, self.exact, self.at = outputs, bool(exact), float(price)
+        self.outputs, self.exact, self.at, self.at_once = outputs, bool(exact), float(price), float(at_once)
         self.w_acc, self.w_cost = float(w_acc), float(w_cost)
         seen = len(STATE) - FACTORS
         self.value = perceptron(seen, outputs, hidden, activation)
@@ -88,7 +91,7 @@ class LookaheadNetwork(QNetwork):
 
     def observations(self) -> list[ObservationPart]:
         """See ``QNetwork``."""
-        return [LookaheadObservation(exact=self.exact, price=self.at)]
+        return [LookaheadObservation(exact=self.exact, price=self.at, at_once=self.at_once)]
 
     def forward(self, features: Tensor, action: Tensor, row_mask: Tensor, state: Tensor, action_mask: Tensor) -> Tensor:
         """Values of all actions."""
@@ -115,12 +118,14 @@ class LookaheadNetwork(QNetwork):
         return self._place(value + gain, action, row_mask, action_mask)
 
     def _paid(self, bid: Tensor, demand: Tensor, stay: Tensor) -> Tensor:
-        """The bid price for the whole stay.
+        """The bid price for demand and stay.
 
-        What follows a request hardly tells a short stay from a long one. So a long stay must not pull more at the price
-        than a short one, as its factor would make it: fitted like that, prices are too low for the usual stay, the
-        more so the more stays differ. The gradient leaves the factor out.
+        What follows a request hardly tells a short stay from a long one. Fitted by least squares, a price that is paid
+        in proportion to the stay comes out too low for the usual stay, the more so the more stays differ. So with
+        ``at_once`` 0 the gradient leaves the factor out.
         """
+        if self.at_once > 0.0:
+            return demand * stay * bid
         once = demand * bid
         return once + (once * (stay - 1.0)).detach()
 

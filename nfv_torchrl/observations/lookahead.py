@@ -26,9 +26,10 @@ from nfv_torchrl.observations.ahead import (
 from nfv_torchrl.observations.base import gather
 from nfv_torchrl.observations.candidates import candidate_rows, count_features, write_row
 from nfv_torchrl.observations.costs_to_go import costs_to_go
+from nfv_torchrl.observations.menu import AT_ONCE
 from nfv_torchrl.observations.standing import MOST, STATE, scale_of, state_scales, write_state
 from nfv_torchrl.planners.menu import STEEPNESS
-from nfv_torchrl.settings.values import AboveOne, NotNegative
+from nfv_torchrl.settings.values import AboveOne, NotNegative, Share
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.tables import DELAY_TOLERANCE, Rules, Tables
@@ -178,6 +179,8 @@ class LookaheadObservation:
         price: p of the raised prices, in mean unit costs of the network's VMs; see ``PricedPlanner``.
         steepness: M, how late they rise.
         candidates: rows go on with the columns of ``CandidateFeatures`` and the service type one-hot.
+        at_once: where lifetimes are seen, share of the price of a mean stay that is paid for coming, however short the
+            stay is; the rest is in proportion to it.
 
     Raises:
         ScenarioError: on reading, functions of a request must not share nodes (``placement: distinct``).
@@ -190,14 +193,15 @@ class LookaheadObservation:
         price: NotNegative = PRICE,
         steepness: AboveOne = STEEPNESS,
         candidates: bool = False,
+        at_once: Share = AT_ONCE,
     ) -> None:
-        self.candidates = candidates
+        self.candidates, self._at_once = candidates, at_once
         self._looking = Looking(exact=exact, price=price, steepness=steepness)
         self._tables: Tables | None = None
 
     def _prepare(self, tables: Tables, rules: Rules) -> None:
         if self._tables is not tables:
-            self._tables, self._scales = tables, state_scales(tables)
+            self._tables, self._scales = tables, state_scales(tables, self._at_once)
             self._costs = costs_to_go(tables, rules) if self.candidates else None
 
     def shape(self, tables: Tables, rules: Rules) -> tuple[int, int]:

@@ -23,7 +23,7 @@ from nfv_torchrl.simulator.tables import Tables
 LONGEST_STAY = 5.0
 """Lifetimes are seen up to this multiple of their mean."""
 AT_ONCE = 0.5
-"""As bid prices are learned, share of what a request of mean lifetime is charged for coming, however short it stays.
+"""Share of what a request of mean lifetime is charged for coming, however short it stays, as bid prices are learned.
 The rest is in proportion to its lifetime.
 
 What follows a request hardly tells a short stay from a long one, so what is learned is the price of a usual stay. A

@@ -11,7 +11,7 @@ import numpy as np
 
 from nfv_torchrl.columns import columns
 from nfv_torchrl.observations.ahead import CHEAP, SPARE
-from nfv_torchrl.observations.menu import pow8, stay_of
+from nfv_torchrl.observations.menu import AT_ONCE, pow8, stay_of
 from nfv_torchrl.planners.menu import LEAST_COST
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.slots import used_vm_share
@@ -25,7 +25,7 @@ class StateFeatures(NamedTuple):
     """Numbers of the network and the request, the same for all rows."""
 
     demand: int  # load of the chain over the mean over services; of several kinds of resources the largest
-    stay: int  # lifetime in mean lifetimes, at most LONGEST_STAY; 1 where lifetimes are hidden
+    stay: int  # what the lifetime makes of the price of the demand, see ``menu.stay_of``; 1 where lifetimes are hidden
     log_demand: int
     size: int  # log of the load of the chain over the capacity of a mean VM, over 5
     rate: int  # log of 1 + the highest rate over that of the mean link, over 5
@@ -57,10 +57,11 @@ class StateScales(NamedTuple):
     rate: np.ndarray  # float64 [P], highest rate of each, Mbit/s
     mean_capacity: np.ndarray  # float64 [S], Mcycles/s of a VM
     mean_speed: np.ndarray  # float64 [S], Mbit/s of a link
+    at_once: float  # of ``stay_of``
 
 
-def state_scales(tables: Tables) -> StateScales:
-    """``StateScales`` of a simulator's tables."""
+def state_scales(tables: Tables, at_once: float = AT_ONCE) -> StateScales:
+    """``StateScales`` of a simulator's tables, with a share ``at_once`` of the price of a mean stay paid for coming."""
     loads = tables.load.sum(axis=1)
     chain = np.ascontiguousarray(loads[:, 0])
     usual = np.array([max(float(kind[: tables.services].mean()), LEAST_COST) for kind in loads.T])
@@ -73,6 +74,7 @@ def state_scales(tables: Tables) -> StateScales:
         rate=tables.rate.max(axis=1),
         mean_capacity=np.where(tables.vm_capacity[..., 0] > 0, tables.vm_speed, 0.0).sum(axis=(1, 2)) / vms,
         mean_speed=np.where(exists, tables.link_speed, 0.0).sum(axis=1) / links,
+        at_once=at_once,
     )
 
 
@@ -91,7 +93,7 @@ def write_state(world, b, own, scales, state):
     used = used_vm_share(world, b)
     link_used = e.link_used / tables.link_total[net]
     state[STATE.demand] = demand
-    state[STATE.stay] = stay_of(world, b, 0.0, 1.0)
+    state[STATE.stay] = stay_of(world, b, scales.at_once, 1.0 - scales.at_once)
     state[STATE.log_demand] = 0.5 * np.log(max(demand, 1e-3))
     state[STATE.size] = np.log(max(scales.chain[profile] / scales.mean_capacity[net], 1e-9)) / 5.0
     state[STATE.rate] = np.log(1.0 + scales.rate[profile] / scales.mean_speed[net]) / 5.0

@@ -192,22 +192,32 @@ def test_values_by_hand():
     values = network(features, torch.tensor([3, 0, 2, 3]), mask, state, torch.ones(4, dtype=torch.bool))
     # V + 1 - 0.5 (cost - 1) - 2 regret - 2 * 0.25, of the better way; reject: V; no row: 0.
     assert values.tolist() == pytest.approx([3 + 1 - 0.6 - 0.5, 0, 3 + 1 - 0.2 - 0.5, 3], abs=1e-4)
-    # A stay three times as long pays three times the bid. What is learned of the bid does not grow with the stay.
-    state[STATE.stay] = 3.0
-    values = network(features, torch.tensor([3, 0, 2, 3]), mask, state, torch.ones(4, dtype=torch.bool))
-    assert values[0].item() == pytest.approx(3 + 1 - 0.6 - 3 * 0.5, abs=1e-4)
-    values[0].backward()
-    assert network.prices[-1].bias.grad[1].item() == -2.0
     assert FACTORS == 2
 
 
-def test_a_bid_is_for_the_demand_and_where_lifetimes_are_seen_for_the_stay():
+@pytest.mark.parametrize(("at_once", "pull"), [(0.5, -6.0), (0.0, -2.0)])
+def test_a_bid_for_three_mean_stays_by_hand(at_once, pull):
+    """The demand is 2 and the bid 0.25, so 1.5 are paid. Paid in proportion, the bid learns as from a mean stay."""
+    sizes = Sizes(observation=1, actions=2, services=1, candidate_features=0)
+    network = LookaheadNetwork(sizes, hidden=[4], at_once=at_once)
+    torch.nn.init.constant_(network.prices[-1].bias, 0.25)
+    features, state = torch.zeros(1, len(FEATURES)), torch.zeros(len(STATE))
+    state[STATE.demand], state[STATE.stay] = 2.0, 3.0
+    features[0, ROW.fits] = features[0, ROW.planned] = features[0, ROW.cost] = features[0, ROW.spare_cost] = 1
+    mask = torch.ones(2, dtype=torch.bool)
+    value = network(features, torch.tensor([0]), mask[:1], state, mask)[0]
+    value.backward()
+    assert value.item() == pytest.approx(1 - 1.5) and network.prices[-1].bias.grad[1].item() == pull
+
+
+@pytest.mark.parametrize(("at_once", "charged"), [(0.5, (1.0, 0.75, 3.0)), (0.0, (1.0, 0.5, 5.0))])
+def test_a_bid_is_for_the_demand_and_where_lifetimes_are_seen_for_the_stay(at_once, charged):
     """A duo takes 30 Mcycles/s and services 25 on average. The mean lifetime is 2 s, and 5 of these are the most."""
-    for shown, stays in ((False, (1.0, 1.0, 1.0)), (True, (1.0, 0.5, 5.0))):
+    for shown, stays in ((False, (1.0, 1.0, 1.0)), (True, charged)):
         simulator = Simulator(toy_scenario(mask="feasible", observe_lifetime=shown), 3)
         for b, lifetime in enumerate((2.0, 1.0, 100.0)):
             simulator.start(b, workload_of((0, DUO, 0, 3, lifetime)))
-        state = LookaheadObservation().read(simulator)["lookahead"]["state"]
+        state = LookaheadObservation(at_once=at_once).read(simulator)["lookahead"]["state"]
         assert state[:, STATE.demand].tolist() == pytest.approx([1.2] * 3)
         assert state[:, STATE.stay].tolist() == pytest.approx(stays)
         assert state[:, STATE.log_demand].tolist() == pytest.approx([0.5 * math.log(1.2)] * 3)
