@@ -55,10 +55,8 @@ def _choose(world, b, ahead, scales, own, values):
     for k in range(FACTORS, own.state.size):
         net.now[k - FACTORS] = own.state[k]
     outputs_of(net.weights, net.sizes, net.activation, net.now, net.after)
-    spare, bid = (
-        max(np.float64(net.now[0]), 0.0),
-        np.float64(net.now[1]) * own.state[STATE.demand] * own.state[STATE.stay],
-    )
+    spare = max(np.float64(net.now[0]), 0.0)
+    bid = np.float64(net.now[1]) * own.state[STATE.demand] * own.state[STATE.stay]
     best = np.int64(world.seen.valid[b, 0])
     values[0] = values[1] = np.float32(-np.inf)
     for k in range(count):

@@ -46,7 +46,7 @@ def check_device(key: str, name: str, remedy: str) -> torch.device:
     try:
         device = torch.device(name)
         torch.zeros(1, device=device).item()
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
+    except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
         raise ScenarioError(f"{key}: {name} cannot be used here ({one_line(error)}); {remedy}") from error
     return device
 

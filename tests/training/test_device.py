@@ -157,7 +157,8 @@ def test_items_drawn_by_priority_are_where_torchrl_has_its_trees(trees, place, m
 
 
 @pytest.mark.parametrize(
-    ("place", "message"), [("nowhere", "cannot be used here"), ("cuda:0", "no trees of priorities")]
+    ("place", "message"),
+    [("nowhere", "cannot be used here"), (None, "cannot be used here"), ("cuda:0", "no trees of priorities")],
 )
 def test_a_place_that_cannot_hold_the_items_is_refused(place, message, monkeypatch):
     monkeypatch.delattr(_torchrl, "CudaSumSegmentTreeFp32", raising=False)
