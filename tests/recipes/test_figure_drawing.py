@@ -78,7 +78,8 @@ def test_the_papers_figures_are_there(drawn):
 @pytest.mark.parametrize("name", FIGURES)
 def test_every_caption_says_what_it_took(drawn, name, tmp_path):
     shown = words(drawn[name].figure)
-    assert "Budget quick: 3 workload seeds" in shown and "lifetimes hidden" in shown
+    over = "1 training seed " if "over_iterations" in name else "3 workload seeds "
+    assert f"Budget quick: {over}" in shown and "lifetimes hidden" in shown
     assert ("agents have hardly learnt" in shown) == (name != "presence_probability")
     assert "udget" not in drawn[name].figure.get_suptitle()  # no log in a title
     for axes in drawn[name].figure.axes:
