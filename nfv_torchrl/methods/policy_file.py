@@ -160,6 +160,7 @@ def load_policy(
 
 
 def _replaced(path: str | os.PathLike[str], own: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A planner's settings with some replaced; its class stays."""
     if not own or "_target_" in settings:
         raise CheckpointError(
             f"{path}: planner={dict(settings)}: only the settings of a planner's policy can be replaced"

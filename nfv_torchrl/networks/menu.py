@@ -29,8 +29,8 @@ class MenuNetwork(QNetwork):
     state of the network is, with this request in hand. The last term is what the walk does to later requests: a bid
     price g for each unit that the request holds, times its demand, the load l of its chain over the mean over services,
     and what its lifetime makes of it, $\tau$: 1 where lifetimes are hidden, else as ``PlanEnv`` (in training) or
-    ``MenuPlanner`` (when it acts) charges for a stay. So a light request is hardly ever
-    refused, whatever g says. The form ``free`` leaves out both factors.
+    ``MenuPlanner`` (when it acts) charges for a stay. So a light request is hardly ever refused, whatever g says. The
+    form ``free`` leaves out both factors.
 
     V and g begin at zero. An untrained network takes the cheapest walk, as ``myopic_optimal`` does.
 
