@@ -74,7 +74,7 @@ def refuse_free_ends(world: World, planner: str) -> None:
     if world.rules.free_ends:
         raise ScenarioError(
             f"{planner}: plans requests whose ingress and egress are both given, and this scenario has free ones; use "
-            "greedy, myopic_optimal, priced, milp or a policy"
+            "greedy, tabu, myopic_optimal, priced, milp or a policy"
         )
 
 

@@ -4,6 +4,12 @@ After Leivadeas et al. (VNF placement by tabu search). A solution is a path and 
 one function to another VM between its neighbours in the chain, or the chain to another of the k paths, placed there in
 order. Each iteration takes the best move that is not tabu even if it is worse, and forbids the way back for ``tenure``
 iterations, unless that leads to the best feasible embedding so far (aspiration).
+
+Where an end of the request is free there are no paths between two nodes (``search/rearranging.py``). A solution is then
+a VM for every function, on any node. Moves: one function to any other VM that the rule of placement allows, with the
+cheapest routes to and from it, so that the first function takes the start with it and the last one the end; or the
+chain to the greedy one from another of the k cheapest starts. Those routes are the only ones: a chain is not led around
+a link that it would use once too often itself.
 """
 
 from __future__ import annotations
@@ -14,7 +20,7 @@ import numpy as np
 
 from nfv_torchrl.codec import vm_resource
 from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.planners.base import CompiledPlanner, over_rows, refuse_free_ends
+from nfv_torchrl.planners.base import CompiledPlanner, over_rows
 from nfv_torchrl.search.placing import (
     Placing,
     encode_placement,
@@ -26,20 +32,35 @@ from nfv_torchrl.search.placing import (
     node_at,
     place_greedily,
 )
-from nfv_torchrl.search.walks import OVERFLOW, make_problem, unit_costs
+from nfv_torchrl.search.rearranging import (
+    AHEAD,
+    BACK,
+    PENALTY,
+    Rearranging,
+    cost_on,
+    cost_without,
+    judge_walk,
+    keep_walk,
+    lay_chains,
+    make_rearranging,
+    may_move,
+    refresh_trees,
+    stand,
+    take_in_hand,
+    try_chain,
+    try_move,
+)
+from nfv_torchrl.search.walks import OVERFLOW, encode_walk, make_problem, unit_costs
 from nfv_torchrl.settings.values import Count, Natural
 from nfv_torchrl.simulator.compiled import part
-from nfv_torchrl.simulator.state import World
 from nfv_torchrl.simulator.tables import Tables
-
-PENALTY = 1e6
-"""$ for one unit of violation: above any real cost, so infeasible embeddings are ranked by their violation first."""
 
 
 class TabuScratch(NamedTuple):
     """Scratch memory of ``tabu``, one for each thread."""
 
     placing: Placing
+    rearranging: Rearranging
     listed: np.ndarray  # int64 [tenure, 3]: (function, VM, -1) or (-1, -1, path), oldest overwritten
     iterations: int  # E, moves made
 
@@ -58,6 +79,10 @@ def plan_tabu(world, b, scratch, plan):
         Number of actions, 0 if no feasible embedding was met, OVERFLOW (-1) if the scratch must grow.
     """
     problem = make_problem(world, b, unit_costs(world, b))
+    if problem.ingress < 0 or problem.egress < 0:
+        steps = _rearrange(problem, scratch)
+        encode_walk(scratch.rearranging.roaming.walk, steps, problem.vm_offered.shape[1], plan)
+        return steps
     placing = scratch.placing
     row, start = place_greedily(problem, world.tables, placing)
     if row == OVERFLOW:
@@ -181,11 +206,100 @@ def _copy(placing, source, target, functions):
         placing.vm[target, i] = placing.vm[source, i]
 
 
+@part
+def _rearrange(problem, scratch):
+    """Search from the cheapest greedy chain; where an end is free.
+
+    Returns:
+        Steps of the best feasible walk, which is then ``rearranging.roaming.walk``; 0 if none was met.
+    """
+    own, listed = scratch.rearranging, scratch.listed
+    kept = own.steps.size - 1
+    chains, best, least = lay_chains(problem, own)
+    if chains == 0:
+        return 0
+    own.steps[kept] = 0
+    chain = max(best, 0)
+    steps = try_chain(own, chain)
+    take_in_hand(own, steps, -1, problem.functions)
+    if best >= 0:
+        keep_walk(own, kept, steps)
+    listed[:] = -1
+    for iteration in range(scratch.iterations):
+        function, node, vm, target = _best_rearrangement(problem, scratch, chains, chain, least)
+        if function < 0 and target < 0:
+            break
+        slot = iteration % listed.shape[0]
+        listed[slot] = -1
+        if function >= 0:
+            listed[slot, 0] = function
+            listed[slot, 1] = _resource(problem, own, function)
+            steps = try_move(problem, own, function, node, vm)
+        else:
+            listed[slot, 2] = chain
+            chain = target
+            steps = try_chain(own, target)
+        take_in_hand(own, steps, function, problem.functions)
+        cost, violation = judge_walk(problem, own, steps)
+        if violation == 0.0 and cost < least:
+            least = cost
+            keep_walk(own, kept, steps)
+    return try_chain(own, kept)
+
+
+@part
+def _best_rearrangement(problem, scratch, chains, chain, least):
+    """As ``_best_move``: (function, node, VM, -1), or (-1, -1, -1, chain), or four times -1.
+
+    What a moved chain costs at least is known without its walk, and a walk is laid only where that is the lowest.
+    """
+    own, listed, vms = scratch.rearranging, scratch.listed, problem.vm_offered.shape[1]
+    move = (-1, -1, -1, -1)
+    lowest = np.inf
+    for i in range(problem.functions):
+        refresh_trees(problem, own, i)
+        others, old = cost_without(problem, own, i), _resource(problem, own, i)
+        for node in range(problem.nodes):
+            route = others + own.distance[AHEAD, i, node] + own.distance[BACK, i, node]
+            if not (route < lowest and may_move(problem, own, i, node)):
+                continue
+            for v in range(problem.vm_count[node]):
+                resource = vm_resource(node, v, vms)
+                bound = route + cost_on(problem, own, node, v, i)
+                if resource == old or not bound < lowest:
+                    continue
+                forbidden = _is_tabu(listed, i, resource, -1)
+                if forbidden and not bound < least:
+                    continue
+                cost, violation = judge_walk(problem, own, try_move(problem, own, i, node, v))
+                score = cost + PENALTY * violation
+                if score < lowest and (not forbidden or (violation == 0.0 and cost < least)):
+                    lowest = score
+                    move = (i, node, v, -1)
+    for j in range(chains):
+        if j == chain:
+            continue
+        cost, violation = judge_walk(problem, own, try_chain(own, j))
+        score = cost + PENALTY * violation
+        if score < lowest and (not _is_tabu(listed, -1, -1, j) or (violation == 0.0 and cost < least)):
+            lowest = score
+            move = (-1, -1, -1, j)
+    return move
+
+
+@part
+def _resource(problem, own, i):
+    """Number of the VM of function ``i`` of the chain in hand."""
+    vm = own.vm[own.steps.size - 2, own.at[i]]
+    return vm_resource(stand(problem, own, i), vm, problem.vm_offered.shape[1])
+
+
 class TabuPlanner(CompiledPlanner):
     """Tabu search from the greedy placement; the best feasible embedding it meets. Deterministic.
 
     Args:
-        paths: k, how many least-cost simple paths may be used.
+        paths: k, how many least-cost simple paths may be used; where the ingress is free, nodes on which the first
+            function is tried to begin with.
         iterations: E, moves made for each request.
         tenure: iterations for which a move's way back is forbidden.
 
@@ -208,18 +322,10 @@ class TabuPlanner(CompiledPlanner):
         self.iterations = int(iterations)
         self.tenure = int(tenure)
 
-    def prepare(self, world: World) -> None:
-        """See ``CompiledPlanner``.
-
-        Raises:
-            ScenarioError: the scenario has requests with a free end, which lie on no paths between two nodes.
-        """
-        refuse_free_ends(world, "tabu")
-        super().prepare(world)
-
     def make(self, tables: Tables) -> TabuScratch:
         """See ``CompiledPlanner``."""
-        return TabuScratch(make_placing(tables, self.paths), np.full((self.tenure, 3), -1), self.iterations)
+        placing, rearranging = make_placing(tables, self.paths), make_rearranging(tables, self.paths)
+        return TabuScratch(placing, rearranging, np.full((self.tenure, 3), -1), self.iterations)
 
     def grow(self, tables: Tables) -> TabuScratch:
         """See ``CompiledPlanner``."""
