@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nfv_torchrl.bounds.moments import Moments, surely_there
 from nfv_torchrl.bounds.occupancy import Columns, Occupancy, expected_price, maximise_value, price_of_stay
 from nfv_torchrl.bounds.relaxations import candidate_cuts, crossed, fitting, least_cost, least_delay
 from nfv_torchrl.errors import ScenarioError
@@ -38,7 +39,7 @@ class Bound:
         arrived: requests that count.
         aar: ``accepted / arrived``; nan if none arrived.
         accepted_by_service: the mix of types at the programme's optimum, float64 [K]; not a bound for each type.
-        cuts: sets of nodes whose links turned out to be scarce.
+        cuts: sets of nodes whose links turned out to be scarce; all links together count as one more.
     """
 
     kind: str
@@ -82,10 +83,10 @@ def blind_bound(
         scenario: as for ``hindsight_bound``.
         workload: all requests.
         failures: as for ``hindsight_bound``.
-        mean_lifetime: s; the scenario's, and those of its services, by default.
+        mean_lifetime: s; by default the scenario's, and those of its services, or that of a file of laws.
 
     Raises:
-        ScenarioError: the workload comes from a file, so its law of lifetimes is unknown, and ``mean_lifetime`` was
+        ScenarioError: the workload comes from a file that does not say the law of lifetimes, and ``mean_lifetime`` was
             not given; or as for ``hindsight_bound``.
     """
     relaxation = _Relaxation(scenario, workload, failures, _known_mean(scenario, mean_lifetime))
@@ -94,7 +95,8 @@ def blind_bound(
 
 def blind_bound_applies(scenario: Scenario) -> bool:
     """Whether methods do not see lifetimes, and these are drawn: the bound needs to know from what."""
-    return scenario.workload_path is None and not scenario.observe_lifetime
+    known = scenario.workload_path is None or scenario.file_mean_lifetime is not None
+    return known and not scenario.observe_lifetime
 
 
 def lifetime_luck(
@@ -124,12 +126,14 @@ def _known_mean(scenario: Scenario, mean_lifetime: float | None) -> np.ndarray:
     """Mean lifetime of each service, s, float64 [K]."""
     if mean_lifetime is not None:
         return np.full(len(scenario.catalogue.types), mean_lifetime)
-    if scenario.workload_path is not None:
+    if scenario.workload_path is None:
+        return scenario.mean_lifetimes
+    if scenario.file_mean_lifetime is None:
         raise ScenarioError(
             f"{scenario.workload_path}: the lifetime-blind bound needs the law of the lifetimes; "
             "pass mean_lifetime if they are exponential, or use the hindsight bound"
         )
-    return scenario.mean_lifetimes
+    return np.full(len(scenario.catalogue.types), scenario.file_mean_lifetime)
 
 
 def hindsight_least_cost(
@@ -169,14 +173,19 @@ class _Relaxation:
         kind = kind.ravel()  # one NumPy release returns it as a row
         possible = self._possible()[kind]
         self.rows = np.flatnonzero(counts)[possible]  # requests of the workload that are in the programme
-        self.kind, self.slot = kind[possible], workload.slot[self.rows]
+        self.kind, blind = kind[possible], mean_lifetimes is not None
+        self.moments = self._moments(workload, blind)
+        arrives = workload.time if blind and workload.time is not None else workload.slot
+        self.start = self.moments.at(arrives[self.rows])
         means = np.zeros(1) if mean_lifetimes is None else np.unique(mean_lifetimes)
         service = workload.service[self.rows]
         of_service = np.zeros(self.rows.size) if mean_lifetimes is None else mean_lifetimes[service]
         self.law = np.searchsorted(means, of_service)  # of each request, int64 [R]
-        self.until, self.keep = self._stays(
-            _surely_there(workload)[self.rows], None if mean_lifetimes is None else means
-        )
+        last = self.moments.count
+        self.keep = self.moments.keeping(means) if blind else np.ones((1, last))
+        self.until = np.full(self.rows.size, last)
+        if not blind:
+            self.until = self.moments.until(self.start, surely_there(workload)[self.rows])
         self.active: list[int] = []  # rows of self.cuts in the programme
         self.fraction = np.zeros(self.kind.size)  # of each request, at the optimum
         profiles = scenario.profiles
@@ -185,6 +194,7 @@ class _Relaxation:
         segments = np.arange(profiles.rate.shape[1]) <= profiles.chain_length[:, None]
         least_rate = np.where(segments, profiles.rate, np.inf).min(axis=1)
         self.class_rate = (to_ledger(least_rate) / LEDGER_UNITS)[self.classes[0]]
+        self.class_between = self._between()
         self._place_cuts()
 
     def _possible(self) -> np.ndarray:
@@ -201,25 +211,30 @@ class _Relaxation:
             possible[mine] = delay <= tolerable + DELAY_TOLERANCE + 1e-6
         return possible
 
-    def _stays(self, departure: np.ndarray, means: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """First slot without each request, int64 [R], and the share that stays from slot to slot, float64 [M, T].
+    def _moments(self, workload: Workload, blind: bool) -> Moments:
+        """Slots. If lifetimes are not known and requests come from a file or within slots: the arrivals, since what is
+        there only gets less from one to the next."""
+        if not blind or (workload.time is None and self.scenario.workload_path is None):
+            return Moments.of_slots(self.scenario.horizon, self.failures)
+        arrives = workload.slot if workload.time is None else workload.time
+        return Moments.of_arrivals(arrives[self.rows].astype(np.float64), self.failures)
 
-        A failure may interrupt anyone, so nobody is counted on from the first failure after the arrival.
+    def _between(self) -> np.ndarray:
+        """Mbit/s that a request of each class takes of links between its functions at least, float64 [C].
+
+        Where no two of them share a node, or each comes with a hop, a segment between two has one hop or more.
         """
-        horizon = self.scenario.horizon
-        events = np.unique(self.failures.slot[~self.failures.up])
-        if means is None:
-            following = np.r_[events, horizon][np.searchsorted(events, self.slot, side="right")]
-            return np.minimum(departure, np.minimum(following, horizon)), np.ones((1, horizon))
-        keep = np.repeat([[math.exp(-1.0 / mean)] for mean in means.tolist()], horizon, axis=1)
-        keep[:, events] = 0.0
-        return np.full(self.slot.size, horizon), keep
+        profiles, placement = self.scenario.profiles, self.scenario.placement_rule
+        inner = np.arange(1, profiles.rate.shape[1]) < profiles.chain_length[:, None]
+        between = (to_ledger(profiles.rate[:, 1:]) / LEDGER_UNITS * inner).sum(axis=1)[self.classes[0]]
+        apart = np.full(len(between), placement == "distinct") | ((placement == "walk") & (self.classes[2] < 0))
+        return np.where(apart, between, 0.0)
 
     def _place_cuts(self) -> None:
         substrate, horizon = self.scenario.substrate, self.scenario.horizon
         vm_units = to_ledger(substrate.capacity_by_kind).reshape(-1, len(self.class_load))
         pools = [(units.sum() + self._failed(units, 0).sum(axis=0)) / LEDGER_UNITS for units in vm_units.T]
-        self.pools = np.stack([np.broadcast_to(pool, (horizon,)) for pool in pools])  # [kinds, T]
+        self.pools = np.stack([np.broadcast_to(pool, (horizon,))[self.moments.slots] for pool in pools])  # [kinds, T]
         sets, (u, v) = candidate_cuts(substrate), substrate.links.T
         if substrate.full_duplex:  # what leaves a set and what enters it share nothing
             sets = np.concatenate([sets, ~sets])
@@ -228,18 +243,19 @@ class _Relaxation:
         self.pairs, self.class_pair = np.unique(ends, axis=1, return_inverse=True)
         self.class_pair = self.class_pair.ravel()
         self.crosses = self._crossing()  # [M, P]
-        links_of = crossed(sets, substrate.links).astype(np.float64)  # [M, L]
+        everywhere = np.ones((1, len(u)))  # the last row: all links together
+        links_of = np.vstack([crossed(sets, substrate.links), everywhere])  # [M + 1, L]
         self.cut_capacity = self._over_cuts(links_of, substrate.link_capacity, len(vm_units))
         if substrate.back_capacity is not None:
-            there, back = (sets[:, u] & ~sets[:, v]).astype(np.float64), (sets[:, v] & ~sets[:, u]).astype(np.float64)
+            there, back = (np.vstack([sets[:, a] & ~sets[:, b], everywhere]) for a, b in ((u, v), (v, u)))
             self.cut_capacity = self._over_cuts(there, substrate.link_capacity, len(vm_units))
             self.cut_capacity = self.cut_capacity + self._over_cuts(back, substrate.back_capacity, len(vm_units))
 
     def _over_cuts(self, links_of: np.ndarray, capacity: np.ndarray, first: int) -> np.ndarray:
-        """Capacity of sets of links float64 [M, L] over time, Mbit/s, float64 [M, T]; ``first``: number of link 0."""
+        """Capacity of sets of links float64 [M, L] over time, Mbit/s, [M, T]; ``first``: number of link 0."""
         units = to_ledger(capacity)
         offered = (units[:, None] + self._failed(units, first)) / LEDGER_UNITS
-        return np.broadcast_to(links_of @ offered, (len(links_of), self.scenario.horizon))
+        return np.broadcast_to(links_of @ offered, (len(links_of), self.scenario.horizon))[:, self.moments.slots]
 
     def _crossing(self) -> np.ndarray:
         """Which pairs of ends have to cross which cuts, bool [M, P]; a request with a free end has to cross none."""
@@ -283,7 +299,7 @@ class _Relaxation:
         """Groups of requests alike to the programme, capacity float64 [K, T], and each request's group."""
         demand = self._demand(len(self.active))
         looks, look_of = np.unique(np.vstack([demand, value]), axis=1, return_inverse=True)
-        keys = np.stack([look_of.ravel()[self.kind], self.slot, self.until, self.law])
+        keys = np.stack([look_of.ravel()[self.kind], self.start, self.until, self.law])
         groups, column_of, count = np.unique(keys, axis=1, return_inverse=True, return_counts=True)
         look = looks[:, groups[0]]
         columns = Columns(groups[1], groups[2], count.astype(np.float64), look[:-1], look[-1], groups[3])
@@ -291,33 +307,43 @@ class _Relaxation:
 
     def _demand(self, cuts: int) -> np.ndarray:
         """What a request of each class takes of the pools and the first ``cuts`` active cuts, float64 [R + cuts, C]."""
-        crossing = self.crosses[self.active[:cuts]][:, self.class_pair]
-        return np.vstack([self.class_load, crossing * self.class_rate])
+        last = len(self.crosses)
+        over = [
+            self.class_between if cut == last else self.crosses[cut, self.class_pair] * self.class_rate
+            for cut in self.active[:cuts]
+        ]
+        return np.vstack([self.class_load, *over])
 
     def luck(self, workload: Workload, accepted: np.ndarray) -> float:
         """Expected less actual price of the stays of the accepted requests, at the prices that prove the bound."""
         prices = self.solve().prices
-        until, _ = self._stays(_surely_there(workload)[self.rows], None)
+        until = self.moments.until(self.start, self.moments.at(workload.leaves[self.rows]))
         ahead = np.stack([expected_price(prices, keep) for keep in self.keep])  # [M, K, T]
-        spared = ahead[self.law, :, self.slot].T - price_of_stay(prices, self.slot, until)
+        spared = ahead[self.law, :, self.start].T - price_of_stay(prices, self.start, until)
         demand = self._demand(len(prices) - len(self.class_load))[:, self.kind]
         return float((demand * spared).sum(axis=0)[accepted[self.rows]].sum())
 
     def _activate_violated(self) -> bool:
         """Add the cuts that the present solution exceeds by most; False if there is none."""
-        horizon = self.scenario.horizon
-        flow = np.zeros((len(self.keep), self.pairs.shape[1], horizon))  # by law, Mbit/s between each pair's ends
-        pair, amount = self.class_pair[self.kind], self.fraction * self.class_rate[self.kind]
-        np.add.at(flow, (self.law, pair, self.slot), amount)
-        leaves = self.until < horizon
-        np.add.at(flow, (self.law[leaves], pair[leaves], self.until[leaves]), -amount[leaves])
-        for t in range(1, horizon):
-            flow[:, :, t] += self.keep[:, t, None] * flow[:, :, t - 1]
-        used = self.crosses.astype(np.float64) @ flow.sum(axis=0)
+        pair, kind = self.class_pair[self.kind], self.kind
+        over_pairs = self._taken(pair, self.fraction * self.class_rate[kind], self.pairs.shape[1])
+        over_all = self._taken(np.zeros_like(kind), self.fraction * self.class_between[kind], 1)
+        used = np.vstack([self.crosses.astype(np.float64) @ over_pairs, over_all])
         excess = (used - self.cut_capacity).max(axis=1) / np.maximum(self.cut_capacity.max(axis=1), 1e-9)
         worst = [int(row) for row in np.argsort(-excess) if excess[row] > VIOLATION and int(row) not in self.active]
         self.active += worst[:CUTS_PER_ROUND]
         return bool(worst)
+
+    def _taken(self, group: np.ndarray, amount: np.ndarray, groups: int) -> np.ndarray:
+        """What requests take over time if each takes ``amount`` float64 [R], by ``group`` int64 [R]: [groups, T]."""
+        last = self.moments.count
+        flow = np.zeros((len(self.keep), groups, last))  # by law
+        np.add.at(flow, (self.law, group, self.start), amount)
+        leaves = self.until < last
+        np.add.at(flow, (self.law[leaves], group[leaves], self.until[leaves]), -amount[leaves])
+        for t in range(1, last):
+            flow[:, :, t] += self.keep[:, t, None] * flow[:, :, t - 1]
+        return flow.sum(axis=0)
 
     def bound(self, kind: str, accepted: float) -> Bound:
         """Wrap up after ``solve``."""
@@ -341,14 +367,3 @@ class _Relaxation:
         cost[~np.isfinite(cost)] = 0.0  # impossible classes are in no group
         solution = self.solve(-cost, at_least=accepted)
         return max(solution.count_price * accepted - solution.bound, 0.0)
-
-
-def _surely_there(workload: Workload) -> np.ndarray:
-    """First slot through whose end each request need not stay, int64 [R].
-
-    Where requests leave within slots, one counts in the slots at whose end it is still there: all of these are there
-    together, while two that are there in the same slot need not have met.
-    """
-    if workload.time is None:
-        return workload.departure
-    return np.minimum(np.floor(workload.leaves), workload.departure).astype(np.int64)

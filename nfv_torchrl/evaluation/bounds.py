@@ -19,7 +19,7 @@ def aar_bounds(scenario: Scenario, seed: int) -> dict[str, float]:
     """Upper bounds on AAR on the workload of ``seed``, by name of the bound.
 
     ``hindsight`` knows all requests in advance. ``blind`` does not know lifetimes: it is there where methods do not see
-    them either, and where they are drawn, since it needs to know from what.
+    them either, and where they are drawn, by the scenario or by the laws of a file, since it needs to know from what.
     """
     workload, timeline = scenario.workload(seed), scenario.failure_timeline(seed)
     bounds = BOUNDS if blind_bound_applies(scenario) else {"hindsight": hindsight_bound}

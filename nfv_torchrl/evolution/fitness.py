@@ -103,7 +103,8 @@ def baseline(task: Task, bound: bool = True) -> Baseline:
     myopic = float(np.isfinite(costs).mean())
     if myopic == 1.0 or not bound:
         return Baseline(costs, 0.0)
-    upper = blind_bound if blind_bound_applies(task.scenario) else hindsight_bound
+    blind = task.scenario.workload_path is None and blind_bound_applies(task.scenario)
+    upper = blind_bound if blind else hindsight_bound
     return Baseline(costs, max(upper(task.scenario, task.workload, task.timeline).aar - myopic, 0.0))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +21,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.services import ServiceCatalogue, ServiceType
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.workload import Workload
+from nfv_torchrl.settings.values import shown
 
 # Attributes of a scenario that its JSON holds as they are; config keys of the same names.
 PLAIN_KEYS = (
@@ -38,6 +40,8 @@ PLAIN_KEYS = (
 NEWER_PLAIN_KEYS: dict[str, Any] = {"placement": None, "step_budget": "request", "placing_after_chain": "masked"}
 NEWER_KEYS: dict[str, Any] = {**NEWER_PLAIN_KEYS, "resources": None, "arrivals": None}
 """Keys that a file has where they are not these."""
+MEAN_STAY = "file_mean_lifetime"
+"""Of requests that were drawn by the laws of a file: which the run's own workload.csv does not tell."""
 OTHER_KEYS = ("method", "seeds", "endpoint_pairs", "workload_path", "vnfs", "services", "failures", "failure_timeline")
 
 
@@ -69,6 +73,7 @@ def scenario_to_json(
         **{key: getattr(scenario, key) for key in PLAIN_KEYS},
         "endpoint_pairs": None if pairs is None else pairs.tolist(),
         "workload_path": None if scenario.workload_path is None else str(scenario.workload_path),
+        **({} if scenario.file_mean_lifetime is None else {MEAN_STAY: scenario.file_mean_lifetime}),
         **({} if scenario.arrivals in (UNIFORM, FILE) else {"arrivals": scenario.arrivals.to_config()}),
         **{key: getattr(scenario, key) for key, usual in NEWER_PLAIN_KEYS.items() if getattr(scenario, key) != usual},
         **({} if catalogue.resources == CPU else {"resources": [_shortened(kind) for kind in catalogue.resources]}),
@@ -110,11 +115,19 @@ def read_run_folder(folder: str | os.PathLike[str]) -> StoredRun:
     )
     if data["workload_path"] is not None:
         scenario = scenario.replace(workload_path=str(requests))
+        vars(scenario)[MEAN_STAY] = _mean_stay(data, path)
     return StoredRun(scenario, workload, timeline, data["method"], data["seeds"].get("workload"))
 
 
+def _mean_stay(data: dict[str, Any], path: Path) -> float | None:
+    mean = data.get(MEAN_STAY)
+    if mean is not None and (isinstance(mean, bool) or not isinstance(mean, int | float) or not 0 < mean < math.inf):
+        raise ScenarioError(f"{path}: {MEAN_STAY} is {shown(mean)}; a positive number was expected")
+    return mean
+
+
 def _check_keys(data: dict[str, Any], path: Path) -> None:
-    known = (*PLAIN_KEYS, *OTHER_KEYS, *NEWER_KEYS)
+    known = (*PLAIN_KEYS, *OTHER_KEYS, *NEWER_KEYS, MEAN_STAY)
     for key in (*PLAIN_KEYS, *OTHER_KEYS):
         if key not in data:
             raise ScenarioError(f"{path}: {key!r} is missing; write the file again")

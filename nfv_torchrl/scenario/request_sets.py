@@ -12,7 +12,7 @@ import numpy as np
 from nfv_torchrl.errors import ScenarioError, ScenarioWarning
 from nfv_torchrl.files import load_json
 from nfv_torchrl.scenario.demands import Demand, to_profiles
-from nfv_torchrl.scenario.formats.nfvdeep import read_nfvdeep
+from nfv_torchrl.scenario.formats.nfvdeep import drawn_stay, read_nfvdeep
 from nfv_torchrl.scenario.formats.requests import Asked, RequestSet
 from nfv_torchrl.scenario.formats.virne import read_virne
 from nfv_torchrl.scenario.formats.virne_laws import ChainLaws, draw_asked, read_laws
@@ -40,6 +40,20 @@ def holds_laws(path: str | os.PathLike[str]) -> bool:
     """Whether a workload file holds the laws of requests, which are drawn anew with each scenario seed."""
     suffix = Path(path).suffix.lower()
     return suffix in LAWS or (suffix == ".json" and isinstance(load_json(path), Mapping))
+
+
+def mean_stay(path: str | os.PathLike[str], seed: int) -> float | None:
+    """Mean of the exponential law from which a file of laws has lifetimes drawn with ``seed``, s; None: no such file.
+
+    Lifetimes are exponential, or as many whole slots as an exponential one is in. The probability that one is longer
+    than k whole slots is exp(-k / mean) in either case.
+
+    Raises:
+        ScenarioError: the file cannot be read.
+    """
+    if not holds_laws(path):
+        return None
+    return read_laws(Path(path)).mean_lifetime if Path(path).suffix.lower() in LAWS else drawn_stay(Path(path), seed)
 
 
 def read_request_set(path: Path, catalogue: ServiceCatalogue, horizon: int | None, seed: int) -> Columns:

@@ -30,6 +30,7 @@ from nfv_torchrl.scenario.limits import (
     would_take,
 )
 from nfv_torchrl.scenario.profiles import Profiles, join_profiles
+from nfv_torchrl.scenario.request_sets import mean_stay
 from nfv_torchrl.scenario.resources import draw_further_kinds
 from nfv_torchrl.scenario.services import LONGEST_MEAN, SHORTEST_MEAN, ServiceCatalogue
 from nfv_torchrl.scenario.sources import build_substrate
@@ -53,6 +54,7 @@ KINDS: dict[str, Any] = {
 TARGET_RHO_TOLERANCE = 1e-6
 READ_FOR = {
     "file_workload": {"workload_path", "catalogue", "substrate", "horizon", "seed"},
+    "file_mean_lifetime": {"workload_path", "seed"},
     "traffic": {"arrivals", "substrate"},
 }
 """What is read from files, and the attributes that it depends on."""
@@ -404,6 +406,11 @@ class Scenario:
                 "workload.path: is null, so there is no file to read; give a file or folder of requests"
             )
         return Workload.from_file(self.workload_path, self.catalogue, self.substrate, self.horizon, self.seed)
+
+    @cached_property
+    def file_mean_lifetime(self) -> float | None:
+        """Mean of the exponential law that lifetimes of ``workload_path`` are drawn from, s; None: it names none."""
+        return None if self.workload_path is None else mean_stay(self.workload_path, self.seed)
 
     @cached_property
     def traffic(self) -> Traffic:

@@ -134,13 +134,26 @@ class _Laws:
         return rng.uniform(*self.intervals[name])
 
 
+def drawn_stay(path: Path, seed: int) -> int:
+    """Mean of the exponential law of the lifetimes that are drawn with ``seed`` as an object says, slots.
+
+    Raises:
+        ScenarioError: the file holds something else.
+    """
+    return _first_draws(_Laws(load_json(path), str(path)), random.Random(seed))[2]
+
+
+def _first_draws(laws: _Laws, rng: random.Random) -> tuple[int, int, int]:
+    """Number of requests, slots that they come in, mean stay."""
+    return tuple(laws.integer(name, rng) for name in ("num_requests", "num_timeslots", "service_rate"))  # type: ignore[return-value]
+
+
 def _draw(laws: _Laws, rng: random.Random, source: str) -> list[Asked]:
     """The requests that CN-UPB/NFVdeep draws: the same numbers from the same generator, in its order.
 
     Arrivals are rounded up to whole slots, lifetimes down.
     """
-    count = laws.integer("num_requests", rng)
-    slots, stay = laws.integer("num_timeslots", rng), laws.integer("service_rate", rng)
+    count, slots, stay = _first_draws(laws, rng)
     times = np.ceil(np.cumsum([rng.expovariate(count / slots) for _ in range(count)])).tolist()
     lifetimes = [math.floor(rng.expovariate(1 / stay)) + 1.0 for _ in range(count)]
     vnfs = [(float(laws.integer("cpus", rng)), laws.number("memory", rng)) for _ in range(laws.num_vnfs)]
