@@ -220,7 +220,9 @@ def _shown(row: Mapping[str, Any] | None, form: str) -> str:
     if row is None or row["mean"] != row["mean"]:
         return UNDEFINED
     half = max(row["mean"] - row["ci_low"], row["ci_high"] - row["mean"])
-    return f"{row['mean']:{form}}" + ("" if half != half else f" ± {half:{form.removeprefix('+')}}")
+    # Runs that are played side by side share one measurement of time, which has no interval.
+    alone = half != half or (half == 0.0 and row["metric"] == "decisions_per_second")
+    return f"{row['mean']:{form}}" + ("" if alone else f" ± {half:{form.removeprefix('+')}}")
 
 
 def field_figure(title: str, rows: Rows, axis: str, caption: str) -> Figure:

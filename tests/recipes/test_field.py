@@ -9,7 +9,9 @@ import pytest
 from inprocess import call
 from tiny import ROOT
 
-from nfv_torchrl.experiments.field import limited
+from nfv_torchrl.evaluation.pivot import result_row
+from nfv_torchrl.evaluation.statistics import Interval
+from nfv_torchrl.experiments.field import field_table, limited
 from nfv_torchrl.experiments.rows import lowest, together
 from nfv_torchrl.experiments.transfer import POLICY
 from nfv_torchrl.scenario.scenario import Scenario
@@ -78,6 +80,17 @@ def matrices(folder, *demands):
     for number, (source, target, value) in enumerate(demands):
         text = MATRIX.format(time=f"00{5 * number:02}", nodes=nodes, source=source, target=target, value=value)
         (folder / f"demandMatrix-{number}.xml").write_text(text)
+
+
+@pytest.mark.parametrize(("low", "shown"), [(1200.0, "1,200"), (1100.0, "1,200 ± 100")])
+def test_runs_that_were_timed_together_have_one_time_and_no_interval(low, shown):
+    about = {"network": "geant", "load": 1.0}
+    rows = [
+        result_row(about, "greedy", "aar", Interval(1.0, 1.0, 1.0, 5)),
+        result_row(about, "greedy", "decisions_per_second", Interval(1200.0, low, 2400.0 - low, 5)),
+    ]
+    ((_, acceptance, speed, *_),) = field_table("", rows, "greedy", "rho").rows
+    assert (acceptance, speed) == ("1.0000 ± 0.0000", shown)
 
 
 def test_measured_demands_from_a_folder(tmp_path, capsys):
