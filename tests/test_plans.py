@@ -26,7 +26,7 @@ from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.methods.base import WholePlay
 from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import MenuNetwork, MLPNetwork
-from nfv_torchrl.observations.menu import ROW, ROW_SERVICE, SERVICE, STATE, MenuShape
+from nfv_torchrl.observations.menu_layout import ROW, ROW_SERVICE, SERVICE, STATE, MenuShape
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.planners.priced import fill_prices
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv

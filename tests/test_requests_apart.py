@@ -90,11 +90,10 @@ def test_all_of_them_where_rates_and_delays_are_drawn(scenario: Scenario, seed: 
         seen = read_observation(simulator, [part() for part in KEYS.values()])
         for key in ("observation", *KEYS):
             assert alike(seen, key) == [], (key, one_hot)
-    if scenario.catalogue.drawn is None:
-        menus = Menus()
-        menus.prepare(simulator.world)
-        menus.make(simulator.world, np.arange(len(rows)))
-        assert alike(TensorDict({"menu": torch.from_numpy(menus.flat)}, [len(rows)]), "menu") == []
+    menus = Menus()
+    menus.prepare(simulator.world)
+    menus.make(simulator.world, np.arange(len(rows)))
+    assert alike(TensorDict({"menu": torch.from_numpy(menus.flat)}, [len(rows)]), "menu") == []
 
 
 def test_lifetimes_that_are_seen():

@@ -16,6 +16,7 @@ from nfv_torchrl.scenario.scenario import Scenario
 from nfv_torchrl.scenario.streams import Stream, generator
 from nfv_torchrl.scenario.together import PooledScenario, share_profiles
 from nfv_torchrl.scenario.workload import Workload
+from nfv_torchrl.settings.values import Count
 
 FIRST_SCENARIO_SEED = 1_000_000
 """Networks drawn here have scenario seeds from this on, so they are never those of an evaluation (0, 1, ...)."""
@@ -58,17 +59,27 @@ class Redrawn:
         draws: what one training goes through, each horizon one of them.
         workloads: files of requests or of their laws, for the draws in turn, such as those of several loads; None: the
             scenario's own.
+        substrates: networks of so many of the draws, the first ones, that the environments of a batch live on in turn.
 
     Raises:
-        ScenarioError: no draw, or an empty list of files.
+        ScenarioError: no draw, an empty list of files, or no network or more than draws.
     """
 
-    def __init__(self, scenario: Mapping[str, Any], *, draws: int = 32, workloads: Sequence[str] | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Mapping[str, Any],
+        *,
+        draws: int = 32,
+        workloads: Sequence[str] | None = None,
+        substrates: Count = 1,
+    ) -> None:
         if draws < 1:
             raise ScenarioError(f"networks.draws: {draws}; use at least 1")
+        if not 1 <= substrates <= draws:
+            raise ScenarioError(f"networks.substrates: {substrates}; use 1 to networks.draws, {draws}")
         if workloads is not None and not workloads:
             raise ScenarioError("workloads: is empty; name at least one file, or null for the scenario's own")
-        self.draws = draws
+        self.draws, self.substrates = draws, substrates
         own = dict(scenario.get("workload") or {})
         of_files = [{**scenario, "workload": {**own, "path": path}} for path in workloads or ()]
         self.bases = of_files or [dict(scenario)]
@@ -79,8 +90,9 @@ class Redrawn:
         return [Task.of(scenario, seed, generation, k) for k, scenario in enumerate(scenarios)]
 
     def scenarios(self, seed: int, count: int) -> list[Scenario]:
-        """The one scenario that all ``count`` environments of a batch train on: with the requests of all draws."""
-        return [PooledScenario.of(self._drawn(seed, 0, self.draws))]
+        """The scenarios that the ``count`` environments of a batch train on in turn: each with the network of one of
+        the draws, and the requests of all."""
+        return list(PooledScenario.several(self._drawn(seed, 0, self.draws), min(self.substrates, count)))
 
     def _drawn(self, seed: int, generation: int, count: int) -> list[Scenario]:
         numbers = [generator(seed, Stream.NETWORKS, generation, k) for k in range(count)]

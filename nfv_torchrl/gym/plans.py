@@ -40,7 +40,7 @@ class PlanWorlds(Worlds):
         self.menus.prepare(self.simulator.world)
         self._least_cost = np.full(len(seeds), np.nan)
         self._stale = np.ones(len(seeds), np.bool_)
-        size = self.menus.shape(self.simulator.tables).size
+        size = self.menus.shape(self.simulator.world).size
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.action_space = gymnasium.spaces.Discrete(len(self.menus.level) + 1)
 

@@ -11,7 +11,7 @@ from torch.nn.functional import linear
 
 from nfv_torchrl.networks.base import QNetwork, Sizes
 from nfv_torchrl.networks.layers import perceptron
-from nfv_torchrl.observations.menu import FACTORS, ROW, MenuShape
+from nfv_torchrl.observations.menu_layout import FACTORS, ROW, MenuShape
 from nfv_torchrl.settings.values import Activation, NotNegative, OneOf, Width
 
 FORMS = ("price", "free")
@@ -63,7 +63,7 @@ class MenuNetwork(QNetwork):
         super().__init__()
         self.outputs, self.form = outputs, form
         self.w_acc, self.w_cost = float(w_acc), float(w_cost)
-        self.shape = MenuShape.of(sizes.services, sizes.actions - 1)
+        self.shape = MenuShape.of(sizes.services, sizes.actions - 1, asked=sizes.candidate_features > 0)
         seen = self.shape.state - FACTORS
         self.value = perceptron(seen, outputs, hidden, activation)
         self.price = perceptron(seen + self.shape.row, outputs, hidden, activation)

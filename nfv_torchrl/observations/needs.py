@@ -21,19 +21,26 @@ FEW = 4.0
 
 
 class Needs(NamedTuple):
-    """The different ones of the latest requests of an environment, and the room that each could use."""
+    """The different ones of the latest requests of an environment, and the room that each could use.
 
+    What requests take is kept in D rows ("demands"): one for each service type, or, where requests bring profiles of
+    their own, one for each different request of the latest. K kinds of resources are looked at.
+    """
+
+    apart: bool  # whether each different request is a demand of its own
     side: np.ndarray  # int16 [S, N, N], by egress and node: which part the node is in when the egress is taken out
-    largest_units: np.ndarray  # int64 [Q], ledger units of the largest function
-    chain_units: np.ndarray  # int64 [Q]
+    largest_units: np.ndarray  # int64 [P, K], ledger units of each kind that some function of the profile takes at most
+    chain_units: np.ndarray  # int64 [P, K]
     different: np.ndarray  # int64 [1], how many different ones
-    request: np.ndarray  # int64 [PROBES, 3], type, ingress, egress
+    request: np.ndarray  # int64 [PROBES, 3], profile, ingress, egress
     times: np.ndarray  # int64 [PROBES], how often it came
+    demand: np.ndarray  # int64 [PROBES], its row of what follows by demand
     reached: np.ndarray  # bool [PROBES, N], nodes that it could use, were nothing used
-    free: np.ndarray  # int64 [PROBES], ledger units on these nodes' VMs that its largest function fits on
-    usable: np.ndarray  # int64 [Q, N], the same of every node
+    free: np.ndarray  # int64 [PROBES, K], ledger units on these nodes' VMs that its largest function fits on
+    profile: np.ndarray  # int64 [D]
+    usable: np.ndarray  # int64 [D, N, K], ledger units on the VMs of every node that the largest function fits on
+    drop: np.ndarray  # int64 [D, F, K], what each function of a walk takes of the usable units; scratch
     seen: np.ndarray  # int64 [Q], how many of the latest requests are of each type
-    drop: np.ndarray  # int64 [Q, F], what each function of a walk takes of the usable units; scratch
 
 
 @kernel
@@ -60,57 +67,79 @@ def _fill_sides(tables, net, side, queue):
                         tail += 1
 
 
-def make_needs(tables: Tables) -> Needs:
-    """``Needs`` for any network and service of ``tables``."""
+def make_needs(tables: Tables, kinds: int, apart: bool) -> Needs:
+    """``Needs`` for any network and request of ``tables``.
+
+    Args:
+        tables: the simulator's tables.
+        kinds: K, so many kinds of resources are looked at, the first ones.
+        apart: whether each different request is a demand of its own, else each service type is one.
+    """
     networks, nodes, _, _ = tables.vm_capacity.shape
     services, functions = tables.services, tables.load.shape[1]
+    demands = PROBES if apart else services
     side = np.zeros((networks, nodes, nodes), np.int16)
     queue = np.zeros(nodes, np.int64)
     for net in range(networks):
         _fill_sides(tables, net, side[net], queue)
     return Needs(
+        apart=apart,
         side=side,
-        largest_units=tables.load_units[:services, :, 0].max(axis=1),
-        chain_units=tables.load_units[:services, :, 0].sum(axis=1),
+        largest_units=tables.load_units[:, :, :kinds].max(axis=1),
+        chain_units=tables.load_units[:, :, :kinds].sum(axis=1),
         different=np.zeros(1, np.int64),
         request=np.zeros((PROBES, 3), np.int64),
         times=np.zeros(PROBES, np.int64),
+        demand=np.zeros(PROBES, np.int64),
         reached=np.zeros((PROBES, nodes), np.bool_),
-        free=np.zeros(PROBES, np.int64),
-        usable=np.zeros((services, nodes), np.int64),
+        free=np.zeros((PROBES, kinds), np.int64),
+        profile=np.arange(demands),
+        usable=np.zeros((demands, nodes, kinds), np.int64),
+        drop=np.zeros((demands, functions, kinds), np.int64),
         seen=np.zeros(services, np.int64),
-        drop=np.zeros((services, functions), np.int64),
     )
 
 
 @part
 def measure_needs(world, b, own):
     """Fill ``own`` (``Needs``) from the latest requests of environment b, the one in hand among them."""
-    _measure_usable(world, b, own)
     _collect(world, b, own)
+    _measure_usable(world, b, own)
     nodes = world.tables.num_nodes[world.env[b].net]
     for i in range(own.different[0]):
         request = (own.request[i, 0], own.request[i, 1], own.request[i, 2])
         own.free[i] = 0
         for node in range(nodes):
             own.reached[i, node] = _can_reach(world, b, own, request, node)
-            own.free[i] += own.usable[request[0], node] * own.reached[i, node]
+            for kind in range(own.free.shape[1]):
+                own.free[i, kind] += own.usable[own.demand[i], node, kind] * own.reached[i, node]
+
+
+@part
+def count_demands(own):
+    """How many demands there are now."""
+    return own.different[0] if own.apart else own.profile.size
 
 
 @part
 def _measure_usable(world, b, own):
     tables, ledger, net = world.tables, world.ledger, world.env[b].net
     for node in range(tables.num_nodes[net]):
-        for q in range(own.largest_units.size):
-            own.usable[q, node] = 0
+        for d in range(count_demands(own)):
+            own.usable[d, node] = 0
             for vm in range(tables.vm_count[net, node]):
-                own.usable[q, node] += usable_units(own, q, ledger.vm_offered[b, node, vm, 0])
+                if holds_largest(own, d, ledger.vm_offered[b, node, vm]):
+                    for kind in range(own.usable.shape[2]):
+                        own.usable[d, node, kind] += ledger.vm_offered[b, node, vm, kind]
 
 
 @part
-def usable_units(own, q, free):
-    """Ledger units of a VM with ``free`` of them that are of use for type q: all, or none."""
-    return free if fits(free, own.largest_units[q]) else 0
+def holds_largest(own, d, free):
+    """Whether a VM with ``free`` ledger units of each kind is of use for demand d: all of them, or none."""
+    room = True
+    for kind in range(own.largest_units.shape[1]):
+        room = room and fits(free[kind], own.largest_units[own.profile[d], kind])
+    return room
 
 
 @part
@@ -120,17 +149,20 @@ def _collect(world, b, own):
     own.seen[:] = 0
     count = 0
     for r in range(max(0, cursor + 1 - PROBES), cursor + 1):
-        q = np.int64(arrivals.profile[b, r])
+        profile = np.int64(arrivals.profile[b, r])
         ingress, egress = np.int64(arrivals.ingress[b, r]), np.int64(arrivals.egress[b, r])
-        own.seen[q] += 1
+        own.seen[world.tables.service[profile]] += 1
         i = 0
         while i < count and not (
-            own.request[i, 1] == ingress and own.request[i, 2] == egress and own.request[i, 0] == q
+            own.request[i, 1] == ingress and own.request[i, 2] == egress and own.request[i, 0] == profile
         ):
             i += 1
         if i == count:
-            own.request[i, 0], own.request[i, 1], own.request[i, 2] = q, ingress, egress
+            own.request[i, 0], own.request[i, 1], own.request[i, 2] = profile, ingress, egress
             own.times[i] = 0
+            own.demand[i] = i if own.apart else profile
+            if own.apart:
+                own.profile[i] = profile
             count += 1
         own.times[i] += 1
     own.different[0] = count
@@ -138,30 +170,45 @@ def _collect(world, b, own):
 
 @part
 def _can_reach(world, b, own, request, node):
-    """Whether a request (type, ingress, egress) could place a function on ``node``, were nothing used."""
+    """Whether a request (profile, ingress, egress) could place a function on ``node``, were nothing used."""
     tables, net = world.tables, world.env[b].net
-    service, ingress, egress = request
+    profile, ingress, egress = request
+    rate = tables.least_rate[profile]
+    if ingress < 0 or egress < 0:  # it may begin or end there
+        there = 0.0 if ingress < 0 else tables.delay_to[net, rate, ingress, node]
+        there += 0.0 if egress < 0 else tables.delay_to[net, rate, node, egress]
+        return there <= tables.tolerable_delay[profile]
     if node == egress:
         return True
-    if own.side[net, egress, node] != own.side[net, egress, ingress]:
+    if not world.rules.distinct and own.side[net, egress, node] != own.side[net, egress, ingress]:
         return False
     if node == ingress and not (world.rules.colocation or world.rules.distinct):
         return False
-    rate = tables.least_rate[service]
     there = tables.delay_to[net, rate, ingress, node] + tables.delay_to[net, rate, node, egress]
-    return there <= tables.tolerable_delay[service]
+    return there <= tables.tolerable_delay[profile]
+
+
+@part
+def requests_left(own, profile, free):
+    """How many more requests of a profile fit into ``free`` ledger units of each kind; inf if it takes none."""
+    room = np.inf
+    for kind in range(own.chain_units.shape[1]):
+        if own.chain_units[profile, kind] > 0:
+            room = min(room, free[kind] / own.chain_units[profile, kind])
+    return room
 
 
 @part
 def closeness(own, i, free):
-    """How close request i is to finding no room, with ``free`` units where it can go: 1 if there is none, 0 if all."""
-    return 1.0 / (1.0 + free / own.chain_units[own.request[i, 0]] / FEW)
+    """How close request i is to finding no room, with ``free`` [K] where it can go: 1 if there is none, 0 if all."""
+    return 1.0 / (1.0 + requests_left(own, own.request[i, 0], free) / FEW)
 
 
 @part
-def taken_units(own, i, place, placed):
-    """Ledger units that a walk takes of what request i could use, by ``own.drop`` and its ``place`` int64 [F, 3]."""
-    taken = 0
-    for j in range(placed):
-        taken += own.drop[own.request[i, 0], j] * own.reached[i, place[j, 0]]
-    return taken
+def take_units(own, i, place, placed, left):
+    """Ledger units of each kind, into ``left`` [K], that a walk leaves of what request i could use, by ``own.drop`` and
+    its ``place`` int64 [F, 2]."""
+    for kind in range(left.size):
+        left[kind] = own.free[i, kind]
+        for j in range(placed):
+            left[kind] -= own.drop[own.demand[i], j, kind] * own.reached[i, place[j, 0]]

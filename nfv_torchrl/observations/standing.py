@@ -11,7 +11,8 @@ import numpy as np
 
 from nfv_torchrl.columns import columns
 from nfv_torchrl.observations.ahead import CHEAP, SPARE
-from nfv_torchrl.observations.menu import AT_ONCE, pow8, stay_of
+from nfv_torchrl.observations.menu import AT_ONCE, stay_of
+from nfv_torchrl.observations.menu_layout import pow8
 from nfv_torchrl.planners.menu import LEAST_COST
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.slots import used_vm_share

@@ -139,6 +139,17 @@ class CompiledPlanner(Planner):
         raise NotImplementedError
 
 
+def check_labels(labels: int | None) -> int | None:
+    """``labels`` of ``ExactPlanner`` as it is.
+
+    Raises:
+        ScenarioError: it is below 1.
+    """
+    if labels is not None and labels < 1:
+        raise ScenarioError(f"labels is {labels}; give at least 1, or None for no limit")
+    return None if labels is None else int(labels)
+
+
 class ExactPlanner(CompiledPlanner):
     """A planner by the exact search, which may be given a limit on its work.
 
@@ -155,9 +166,7 @@ class ExactPlanner(CompiledPlanner):
 
     def __init__(self, labels: int | None) -> None:
         super().__init__()
-        if labels is not None and labels < 1:
-            raise ScenarioError(f"labels is {labels}; give at least 1, or None for no limit")
-        self.labels = None if labels is None else int(labels)
+        self.labels = check_labels(labels)
 
     def prepare(self, world: World) -> None:
         """See ``CompiledPlanner``."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.planners.priced import PriceRule, fill_prices
-from nfv_torchrl.search.cheapest import Scratch, grow_scratch, make_scratch, plan_cheapest, plan_within
+from nfv_torchrl.search.cheapest import Scratch, grow_scratch, plan_cheapest, plan_within
 from nfv_torchrl.search.walks import OVERFLOW, Prices, make_problem, unit_costs, walk_totals
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.tables import Rules, Tables
@@ -83,15 +83,15 @@ def make_menu(rules: Rules, batch: int, levels: int) -> Menu:
     )
 
 
-def make_menu_scratch(tables: Tables, level: np.ndarray, steepness: float) -> MenuScratch:
-    """Scratch for any network and service of ``tables``."""
+def make_menu_scratch(tables: Tables, level: np.ndarray, steepness: float, search: Scratch) -> MenuScratch:
+    """Scratch for any network and request of ``tables``, with ``search`` for its searches."""
     _, nodes, vms, kinds = tables.vm_capacity.shape
     counts = np.maximum(tables.vm_count.sum(axis=1), 1)
     return MenuScratch(
         level=level,
         steepness=float(steepness),
         mean_cost=tables.vm_unit_cost[..., 0].sum(axis=(1, 2)) / counts,
-        search=make_scratch(tables),
+        search=search,
         risen=Prices(np.zeros((nodes, vms, kinds)), np.zeros(tables.link_capacity.shape[1])),
         rise=np.full(len(level), np.inf),
         waiting=np.zeros((len(level) + 1, 2), np.int64),
@@ -130,8 +130,11 @@ def _search_level(world, b, k, own, menu):
     for link in range(tables.num_links[net]):
         prices.link[link] = unit.link[link] + p * (own.risen.link[link] - unit.link[link])
     known, least = _best_known(own, menu, b, p)
-    steps = plan_within(world, b, prices, least * (1.0 + SLACK) + SLACK, own.search, menu.action[b, k])
-    if steps == 0:  # none is within the limit but for rounding: the walk that set it is the cheapest
+    limit = least * (1.0 + SLACK) + SLACK
+    steps = plan_within(world, b, prices, limit, own.search, menu.action[b, k])
+    dearer = own.search.cut[0] > 0 and own.search.result[0] > limit  # of a search that was stopped
+    if steps == 0 or (steps > 0 and dearer):
+        # None is within the limit but for rounding: the walk that set it is the cheapest.
         steps = menu.steps[b, known]
         for j in range(steps):
             menu.action[b, k, j] = menu.action[b, known, j]
@@ -214,13 +217,27 @@ def fill_menu(world, b, own, menu):
     Returns:
         MADE, or OVERFLOW (-1) if the scratch must grow.
     """
-    last = own.level.size - 1
     for k in range(own.level.size):
         menu.steps[b, k] = 0
         menu.mask[b, k] = False
     menu.mask[b, own.level.size] = True
     if world.env[b].done == 1:
         return MADE
+    unproved = own.search.unproved
+    row = b if b < unproved.size else 0  # without a limit there is one count, of nothing
+    before = unproved[row]
+    outcome = _search_levels(world, b, own, menu)
+    # A menu counts once, however many of its searches were stopped, and not before it is made.
+    unproved[row] = before if outcome == OVERFLOW else min(unproved[row], before + 1)
+    if outcome == MADE:
+        _offer(menu, b)
+    return outcome
+
+
+@part
+def _search_levels(world, b, own, menu):
+    """The walks of all levels. Returns MADE or OVERFLOW."""
+    last = own.level.size - 1
     steps = _search_cheapest(world, b, own, menu)
     if steps == OVERFLOW:
         return OVERFLOW
@@ -229,7 +246,6 @@ def fill_menu(world, b, own, menu):
             return OVERFLOW
         if _search_between(world, b, own, menu) == OVERFLOW:
             return OVERFLOW
-    _offer(menu, b)
     return MADE
 
 

@@ -92,7 +92,7 @@ class PlanEnv(NFVEnv):
             threads=threads,
         )
         if stagger:
-            self._loader = Loader(self.simulator, fullest=FULLEST)
+            self._loader = Loader(self.simulator, fullest=FULLEST, labels=self.menus.labels)
 
     @property
     def num_actions(self) -> int:

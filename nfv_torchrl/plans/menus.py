@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nfv_torchrl.errors import ScenarioError
-from nfv_torchrl.observations.menu import MenuShape, MenuView, describe_menus, make_menu_view
-from nfv_torchrl.planners.base import refuse_free_ends
+from nfv_torchrl.observations.menu import MenuView, describe_menus, describes_asked, make_menu_view
+from nfv_torchrl.observations.menu_layout import MenuShape
+from nfv_torchrl.planners.base import check_labels
 from nfv_torchrl.planners.menu import (
     LEVELS,
     STEEPNESS,
@@ -20,24 +20,11 @@ from nfv_torchrl.planners.menu import (
     make_menu,
     make_menu_scratch,
 )
-from nfv_torchrl.settings.values import AboveOne, NotNegative
+from nfv_torchrl.search.cheapest import make_scratch
+from nfv_torchrl.search.labels import NO_LIMIT
+from nfv_torchrl.settings.values import AboveOne, Count, NotNegative
 from nfv_torchrl.simulator.state import World
 from nfv_torchrl.simulator.tables import Tables
-
-
-def check_requests(world: World) -> None:
-    """Refuse worlds whose requests menus do not describe.
-
-    Raises:
-        ScenarioError: requests with a free end, with demands of their own, or that take nothing of the first kind of
-            resources or of a link.
-    """
-    refuse_free_ends(world, "menu")
-    tables = world.tables
-    if world.seen.demand:
-        raise ScenarioError("menu: describes requests by their service, and some of these bring demands of their own")
-    if (tables.load[:, :, 0].sum(axis=1) == 0).any() or (tables.rate.max(axis=1) == 0).any():
-        raise ScenarioError("menu: a service takes nothing of the first kind of resources, or has no rate; change it")
 
 
 class Menus:
@@ -48,50 +35,55 @@ class Menus:
         steepness: M, how late prices rise.
         per_stay: bid prices that a stay of the mean lifetime is charged where lifetimes are seen, in proportion to the
             stay; None: half of one for coming, and half in proportion, as in training.
+        labels: limit on the search at each level, see ``ExactPlanner``: what goes beyond it is not proved the cheapest
+            at that level. None: no limit.
 
     Attributes:
         menu: the walks, after ``make``.
-        flat: what a policy sees of them, float32 [B, P], see ``MenuShape``.
+        flat: what a policy sees of them, float32 [B, P].
+        layout: how that is laid out.
+        unproved: with ``labels``, how many menus of each environment had a search that was stopped, int64 [B]; else
+            None.
 
     Raises:
-        ScenarioError: levels that do not rise from 0.
+        ScenarioError: levels that do not rise from 0, or labels < 1.
     """
 
     menu: Menu
     flat: np.ndarray
     own: MenuScratch
+    layout: MenuShape
     view: MenuView
+    unproved: np.ndarray | None = None
 
     def __init__(
         self,
         levels: Sequence[NotNegative] = LEVELS,
         steepness: AboveOne = STEEPNESS,
         per_stay: NotNegative | None = None,
+        labels: Count | None = None,
     ) -> None:
-        self.level, self.steepness = check_levels(levels), float(steepness)
+        self.level, self.steepness, self.labels = check_levels(levels), float(steepness), check_labels(labels)
         self._per_stay = per_stay
         self._tables: Tables | None = None
 
-    def shape(self, tables: Tables) -> MenuShape:
-        """How ``flat`` is laid out."""
-        return MenuShape.of(tables.services, len(self.level))
+    def shape(self, world: World) -> MenuShape:
+        """How ``flat`` is laid out where menus are made in ``world``."""
+        return MenuShape.of(world.tables.services, len(self.level), describes_asked(world))
 
     def prepare(self, world: World) -> None:
-        """Allocate what the environments of ``world`` need, unless that is done already.
-
-        Raises:
-            ScenarioError: requests that menus do not describe.
-        """
-        check_requests(world)
-        batch = len(world.env)
-        if self._tables is not world.tables:
-            self._tables = world.tables
-            self.own = make_menu_scratch(world.tables, self.level, self.steepness)
-            self.view = make_menu_view(world.tables, self._per_stay)
-        elif len(self.flat) == batch and self.menu.action.shape[2] == world.rules.max_steps:
+        """Allocate what the environments of ``world`` need, unless that is done already."""
+        batch, layout = len(world.env), self.shape(world)
+        same = self._tables is world.tables and self.layout == layout and len(self.flat) == batch
+        if same and self.menu.action.shape[2] == world.rules.max_steps:
             return
+        self._tables, self.layout = world.tables, layout
+        self.unproved = None if self.labels is None else np.zeros(batch, np.int64)
+        search = make_scratch(world.tables, allowed=self.labels or NO_LIMIT, unproved=self.unproved)
+        self.own = make_menu_scratch(world.tables, self.level, self.steepness, search)
+        self.view = make_menu_view(world, self._per_stay)
         self.menu = make_menu(world.rules, batch, len(self.level))
-        self.flat = np.zeros((batch, self.shape(world.tables).size), np.float32)
+        self.flat = np.zeros((batch, layout.size), np.float32)
 
     def make(self, world: World, rows: np.ndarray) -> None:
         """Make and describe the menus of the environments ``rows`` int64 [R]."""

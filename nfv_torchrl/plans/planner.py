@@ -18,13 +18,15 @@ from nfv_torchrl.losses.actors import scorer
 from nfv_torchrl.networks import Sizes
 from nfv_torchrl.networks.compiled import CompiledPerceptron, compiled_perceptron, score_row
 from nfv_torchrl.networks.menu import MenuNetwork
-from nfv_torchrl.observations.menu import FACTORS, ROW, STATE, MenuShape, describe_menu
+from nfv_torchrl.observations.asked import ASKED
+from nfv_torchrl.observations.menu import describe_menu, describes_asked
+from nfv_torchrl.observations.menu_layout import FACTORS, ROW, STATE, MenuShape
 from nfv_torchrl.planners.base import Planner
 from nfv_torchrl.planners.menu import LEVELS, STEEPNESS, fill_menu, grow_menu_scratch
 from nfv_torchrl.plans.menus import Menus
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW
-from nfv_torchrl.settings.values import AboveOne, NotNegative
+from nfv_torchrl.settings.values import AboveOne, Count, NotNegative
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.state import World
@@ -98,6 +100,10 @@ class MenuPlanner(Planner):
         levels: price levels of the menu, as in ``Menus``.
         steepness: as in ``Menus``.
         per_stay: as in ``Menus``.
+        labels: as in ``Menus``. Requests with a search that was stopped are counted as ``unproved``.
+
+    Raises:
+        ScenarioError: levels that do not rise from 0, or labels < 1.
     """
 
     def __init__(
@@ -105,19 +111,19 @@ class MenuPlanner(Planner):
         levels: Sequence[NotNegative] = LEVELS,
         steepness: AboveOne = STEEPNESS,
         per_stay: NotNegative | None = PER_STAY,
+        labels: Count | None = None,
     ) -> None:
-        self.menus = Menus(levels, steepness, per_stay)
+        self.menus = Menus(levels, steepness, per_stay, labels)
         self._actor: Any = None
         self._prices: Prices | None = None
 
     def sizes(self, simulator: Simulator) -> Sizes:
         """The sizes of the policy's observation and actions (one for each level, and reject)."""
-        services = simulator.tables.services
         return Sizes(
-            observation=self.menus.shape(simulator.tables).size,
+            observation=self.menus.shape(simulator.world).size,
             actions=len(self.menus.level) + 1,
-            services=services,
-            candidate_features=0,
+            services=simulator.tables.services,
+            candidate_features=len(ASKED) if describes_asked(simulator.world) else 0,
         )
 
     def follow(self, actor: TensorDictModuleBase) -> MenuPlanner:
@@ -128,6 +134,7 @@ class MenuPlanner(Planner):
     def prepare(self, world: World) -> None:
         """See ``Planner``."""
         self.menus.prepare(world)
+        self.unproved = self.menus.unproved
         self._choices = np.zeros(len(world.env), np.int64)
 
     def plan_rows(self, world: World, rows: np.ndarray, plans: np.ndarray, lengths: np.ndarray) -> None:
@@ -139,7 +146,7 @@ class MenuPlanner(Planner):
         if self._actor is None:
             choices[rows] = menu.mask[rows].argmax(-1)
         elif self._prices is not None:
-            choose_rows(rows, menu, self.menus.flat, self.menus.shape(world.tables), self._prices, choices)
+            choose_rows(rows, menu, self.menus.flat, self.menus.layout, self._prices, choices)
         elif rows.size:
             choices[rows] = self._ask(rows)
         walk = np.minimum(choices[rows], len(self.menus.level) - 1)
@@ -155,7 +162,7 @@ class MenuPlanner(Planner):
         """Answer all requests of environment b, whose horizon has begun, as ``plan_rows`` does, in compiled calls."""
         menus, tables = self.menus, simulator.tables
         while True:
-            shape, prices = menus.shape(tables), self._prices
+            shape, prices = menus.layout, self._prices
             outcome = play_priced_menus(
                 simulator.world, b, menus.own, menus.view, menus.menu, menus.flat, shape, prices
             )

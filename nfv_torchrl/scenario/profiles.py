@@ -86,6 +86,13 @@ class Profiles:
         """What a whole chain takes of each kind, float64 [P, R]."""
         return self.amount.sum(axis=1)
 
+    @property
+    def least_rates(self) -> int:
+        """How many different least rates of a segment there may be among profiles with a delay limit; at least 1."""
+        segments = np.arange(self.rate.shape[1]) <= self.chain_length[:, None]
+        least = np.where(segments, self.rate, np.inf).min(axis=1)
+        return max(len(np.unique(least[np.isfinite(self.tolerable_delay)])), 1)
+
     def asks_for_nothing(self) -> bool:
         """Whether some function takes nothing of any kind, or some segment that may be used carries nothing."""
         placed = np.arange(self.amount.shape[1]) < self.chain_length[:, None]

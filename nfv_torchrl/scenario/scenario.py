@@ -233,7 +233,7 @@ class Scenario:
             max_steps=self.max_steps,
             events=self.failures.expected_events(self.substrate, self.horizon),
             kinds=len(self.substrate.resources),
-            rates=self._different_rates if from_file is None or from_file.own is None else len(from_file.own),
+            rates=self._different_rates if from_file is None or from_file.own is None else from_file.own.least_rates,
         )
 
     @property

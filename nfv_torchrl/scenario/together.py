@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -68,13 +69,28 @@ class PooledScenario(Scenario):
     @classmethod
     def of(cls, scenarios: Sequence[Scenario]) -> PooledScenario:
         """The first of ``scenarios``, with the requests of all of them; see ``share_profiles``."""
+        return cls.several(scenarios, 1)[0]
+
+    @classmethod
+    def several(cls, scenarios: Sequence[Scenario], count: int) -> list[PooledScenario]:
+        """The first ``count`` of ``scenarios``, each with the requests of all of them, which have to fit its network;
+        see ``share_profiles``."""
         shared = share_profiles(scenarios)
-        values = {field.name: getattr(shared[0], field.name) for field in dataclasses.fields(Scenario)}
-        pooled = cls(**values)
         requests = tuple(scenario.file_workload for scenario in shared)
-        # As what a scenario reads from files: no attribute that a config has.
-        vars(pooled).update(pool=requests, profiles=shared[0].profiles, file_workload=max(requests, key=len))
-        return pooled
+        longest, profiles = max(requests, key=len), shared[0].profiles
+        made = []
+        for scenario in shared[:count]:
+            pooled = cls(**{field.name: getattr(scenario, field.name) for field in dataclasses.fields(Scenario)})
+            # As what a scenario reads from files: no attribute that a config has.
+            vars(pooled).update(pool=requests, profiles=profiles, file_workload=longest)
+            made.append(pooled)
+        return made
+
+    def replace(self, **changes: Any) -> PooledScenario:
+        """See ``Scenario``; the requests are the same."""
+        other = super().replace(**changes)
+        vars(other)["pool"] = self.pool
+        return cast(PooledScenario, other)
 
     def workload(self, seed: int, *key: int) -> Workload:
         """The requests of one of the draws, always the same for the same arguments."""

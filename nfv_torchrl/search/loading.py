@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nfv_torchrl.search.cheapest import grow_scratch, make_scratch, plan_cheapest
+from nfv_torchrl.search.labels import NO_LIMIT
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW, Prices
 from nfv_torchrl.simulator import Simulator
@@ -15,11 +16,14 @@ PRICE_NOISE = 0.3
 
 
 @part
-def _is_refused(world, b, fullest):
-    """Whether the VMs are fuller than ``fullest`` for a request that takes more than services do on average."""
+def _is_refused(world, b, fullest, usual):
+    """Whether the VMs are fuller than ``fullest`` for a request that takes more than services do on average, or more
+    than ``usual`` where requests bring profiles of their own."""
     tables, e = world.tables, world.env[b]
     if world.ledger.vm_used[b, 0] <= fullest * tables.vm_total[e.net, 0]:
         return False
+    if world.seen.demand:
+        return tables.load[e.profile, :, 0].sum() > usual
     mine = everyone = 0.0
     for service in range(tables.services):
         load = tables.load[service, :, 0].sum()
@@ -29,8 +33,9 @@ def _is_refused(world, b, fullest):
 
 
 @kernel
-def forward_planned(world, b, slot, prices, fullest, scratch, plan):
-    """Answer requests of environment b by ``plan_cheapest`` until ``slot``; see ``Loader`` for ``fullest``.
+def forward_planned(world, b, slot, prices, fullest, usual, scratch, plan):
+    """Answer requests of environment b by ``plan_cheapest`` until ``slot``; see ``Loader`` for ``fullest``, and
+    ``_is_refused`` for ``usual``, Mcycles/s.
 
     Returns FINISHED, NO_ROOM if the simulator's pools run low, or OVERFLOW if the scratch must grow.
     """
@@ -39,7 +44,7 @@ def forward_planned(world, b, slot, prices, fullest, scratch, plan):
         if not has_room(world, b):
             return NO_ROOM
         steps = 0
-        if not _is_refused(world, b, fullest):
+        if not _is_refused(world, b, fullest, usual):
             steps = plan_cheapest(world, b, prices, scratch, plan)
         if steps == OVERFLOW:
             return OVERFLOW
@@ -58,11 +63,16 @@ class Loader:
         fullest: None, or a range that a used share of the VMs is drawn from each time. Above that share large requests
             (more load than services have on average) are refused, as a method that chooses its requests does, and no
             search is made for them.
+        labels: walks that a search may keep; beyond that the answer is that of a narrow search. None: no limit.
     """
 
-    def __init__(self, simulator: Simulator, fullest: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self, simulator: Simulator, fullest: tuple[float, float] | None = None, labels: int | None = None
+    ) -> None:
         self.simulator, self.fullest = simulator, fullest
-        self._scratch = make_scratch(simulator.tables)
+        unproved = np.zeros(simulator.batch_size, np.int64)
+        self._scratch = make_scratch(simulator.tables, allowed=labels or NO_LIMIT, unproved=unproved)
+        self._usual = float(simulator.tables.load[:, :, 0].sum(axis=1).mean())
         self._plan = np.zeros(simulator.world.rules.max_steps, np.int64)
 
     def forward(self, b: int, slot: int, rng: np.random.Generator) -> None:
@@ -73,7 +83,8 @@ class Loader:
         prices = Prices(vm_price, link_price)
         fullest = np.inf if self.fullest is None else rng.uniform(*self.fullest)
         while True:
-            outcome = forward_planned(self.simulator.world, b, slot, prices, fullest, self._scratch, self._plan)
+            world, usual = self.simulator.world, self._usual
+            outcome = forward_planned(world, b, slot, prices, fullest, usual, self._scratch, self._plan)
             if outcome == FINISHED:
                 break
             if outcome == NO_ROOM:

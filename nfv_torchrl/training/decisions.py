@@ -118,7 +118,8 @@ class PlanDecisions:
         **options: Any,
     ) -> PlanEnv:
         """The environment that ``loss`` learns in; ``options`` are those of ``PlanEnv``."""
-        menus = Menus(self.planner.menus.level.tolist(), self.planner.menus.steepness)
+        made = self.planner.menus
+        menus = Menus(made.level.tolist(), made.steepness, labels=made.labels)
         parts = q_network(loss).observations()
         return PlanEnv(scenarios, batch_size, menus=menus, reward=reward, observations=parts, **options)
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from inprocess import call
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from tiny import TINY_SCENARIO, TINY_TRAINING, with_preset
+from tiny import ROOT, TINY_SCENARIO, TINY_TRAINING, with_preset
 
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.losses import DQN
@@ -99,6 +99,31 @@ def test_it_trains_resumes_to_the_bit_and_loads(name, tmp_path):
     method = load_policy(folder / "best.pt", scenario)
     once, twice = (run_method(scenario, method, [1000])[0] for _ in range(2))
     assert (once.accepted == twice.accepted).all() and (once.step_node == twice.step_node).all()  # no noise left
+
+
+def test_plans_of_chains_train_on_draws_resume_to_the_bit_and_load(tmp_path):
+    """Virne's chains, with free ends, on networks of several draws."""
+    laws = (ROOT / "docs/benchmark/chains_0.28.yaml").read_text().replace("num_v_nets: 1000", "num_v_nets: 30")
+    path, folder = tmp_path / "laws.yaml", tmp_path / "run"
+    path.write_text(laws.replace("high: 10}", "high: 4}"))
+    overrides = [
+        f"run_dir={folder}", *TINY_TRAINING, "preset=plans", "scenario=virne", f"scenario.workload.path={path}",
+        "scenario.substrate.generator={_target_: nfv_torchrl.scenario.waxman.draw_waxman, nodes: 8, beta: 1}",
+        "networks=redrawn", "networks.draws=3", "networks.substrates=2", f"networks.workloads=[{path}]",
+        "held_out=redrawn", "eval.count=2", "env.planner.levels=[0,4]", "env.planner.labels=1000", "segment=null",
+        "collector.total_frames=192", "saving.interval=3", "eval.interval=6",
+    ]  # fmt: skip
+    call("dqn", *overrides)
+    whole = load_file(CheckpointFolder(folder).files()[-1])
+    CheckpointFolder(folder).files()[-1].unlink()
+    call("dqn", *overrides, "resume=true")
+    again = load_file(CheckpointFolder(folder).files()[-1])
+    assert again["progress"]["frames"] == 192
+    assert all(torch.equal(value, again["loss"][key]) for key, value in whole["loss"].items())
+    scenario = Scenario.from_config({**whole["config"]["scenario"], "seed": 7})
+    method = load_policy(folder / "best.pt", scenario)
+    (record,) = run_method(scenario, method, [0])
+    assert record.accepted.any() and method.planner.menus.labels == 1000
 
 
 def test_noise_is_off_in_an_evaluation_and_back_after_it(tmp_path):
