@@ -185,6 +185,13 @@ def _check_fit(
 ) -> None:
     """Refuse a scenario of other sizes, unless the network fits any."""
     trained = Sizes(**content["sizes"])
+    if content["kind"] == "planner" and trained.candidate_features != sizes.candidate_features:
+        ways = ("by what they ask", "by their service")
+        there, here = ways if trained.candidate_features else reversed(ways)
+        raise CheckpointError(
+            f"{path} was trained on {content['scenario']}, where menus describe requests {there}; those of "
+            f"{scenario.name} are described {here}. Train on such requests"
+        )
     if trained != sizes and not (network.any_size and trained.services == sizes.services):
         raise CheckpointError(
             f"{path} was trained on {content['scenario']} with {trained.actions} actions and {trained.observation} "

@@ -17,14 +17,14 @@ from test_requests_apart import alike, look
 from torchrl.envs.utils import check_env_specs
 
 from nfv_torchrl.codec import encode_action
-from nfv_torchrl.errors import ScenarioError
+from nfv_torchrl.errors import CheckpointError, ScenarioError
 from nfv_torchrl.evaluation.audit import audit_run
 from nfv_torchrl.evaluation.metrics import compute_metrics
 from nfv_torchrl.evaluation.records import write_run
 from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.evolution import Redrawn
 from nfv_torchrl.losses import greedy_actor
-from nfv_torchrl.methods import PlannerMethod
+from nfv_torchrl.methods import PlannerMethod, load_policy
 from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import MenuNetwork
 from nfv_torchrl.observations.asked import ASKED
@@ -32,7 +32,7 @@ from nfv_torchrl.observations.menu_layout import ROW, ROW_SERVICE, SERVICE, STAT
 from nfv_torchrl.planners import MyopicPlanner
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
 from nfv_torchrl.scenario.kinds import Resource
-from nfv_torchrl.scenario.scenario import Scenario
+from nfv_torchrl.scenario.scenario import Scenario, paper_scenario
 from nfv_torchrl.scenario.services import FREE, ServiceCatalogue, ServiceType
 from nfv_torchrl.scenario.substrate import Substrate
 from nfv_torchrl.scenario.workload import Workload
@@ -191,6 +191,22 @@ def test_a_limit_that_is_met_is_counted_once_a_menu(config):
     assert 0 < planner.unproved[0] <= len(record.accepted)
     with pytest.raises(ScenarioError, match="labels is 0"):
         Menus(labels=0)
+
+
+def test_a_policy_is_for_requests_that_are_described_alike(config):
+    policies = Path(__file__).parents[2] / "docs" / "results" / "policies"
+    scenario = Scenario.from_config({**config, "seed": 3})
+    method = load_policy(policies / "chains_plans_0.pt", scenario)
+    (record,) = run_method(scenario, method, [0])
+    assert record.accepted.any() and method.planner.menus.labels == 10_000
+    with pytest.raises(
+        CheckpointError, match=r"chains_plans_0.pt was trained on virne.* by what they ask; those of paper"
+    ):
+        load_policy(policies / "chains_plans_0.pt", paper_scenario(5))
+    with pytest.raises(
+        CheckpointError, match=r"plans_0.pt was trained on heavy.* by their service; those of virne are"
+    ):
+        load_policy(policies / "plans_0.pt", scenario)
 
 
 def pooled(config: dict, count: int = 3) -> list[Scenario]:
