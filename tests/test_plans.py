@@ -328,10 +328,10 @@ def test_levels_are_checked():
 # ----------------------------------------------------------------------------------------------------- policies
 
 
-def trained(network, scenario, scale=2.0):
+def trained(network, scenario, scale=2.0, compare_at=0.0):
     """An actor with weights that are not zero."""
     torch.manual_seed(0)
-    planner = MenuPlanner()
+    planner = MenuPlanner(compare_at=compare_at)
     sizes = planner.sizes(Simulator(scenario, 1))
     made = network(sizes)
     with torch.no_grad():
@@ -340,10 +340,10 @@ def trained(network, scenario, scale=2.0):
     return planner.follow(greedy_actor(made, sizes.actions))
 
 
-@pytest.mark.parametrize("form", ["price", "free"])
-def test_the_compiled_policy_chooses_as_torch_does(form):
-    scenario = worlds()[1]
-    planner = trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8], form=form), scenario)
+@pytest.mark.parametrize(("form", "compare_at"), [("price", 0.0), ("free", 0.0), ("price", 16.0)])
+def test_the_compiled_policy_chooses_as_torch_does(form, compare_at):
+    scenario = worlds()[2 if compare_at else 1]
+    planner = trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8], form=form), scenario, compare_at=compare_at)
     assert planner._prices is not None
     compiled, slow = PlannerMethod(planner, name="compiled"), copy.copy(planner)
     slow._prices = None
@@ -368,6 +368,40 @@ def test_any_network_plays_and_an_untrained_one_takes_the_cheapest_walk():
         run_method(scenario, PlannerMethod(method, name="x"), [3])[0] for method in (planner, MyopicPlanner())
     )
     np.testing.assert_array_equal(mine.cost, best.cost)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_an_untrained_policy_that_compares_at_a_level_is_the_rule_at_that_price(number):
+    """Without bid prices the walk of least cost at level p is that of ``priced``; with colocation true costs decide."""
+    scenario = worlds()[number]
+    simulator = Simulator(scenario, 1)
+    mean_cost = simulator.tables.vm_unit_cost[0].sum() / simulator.tables.vm_count[0].sum()
+    planner = MenuPlanner(compare_at=16.0)
+    sizes = planner.sizes(simulator)
+    planner.follow(greedy_actor(MenuNetwork(sizes), sizes.actions))
+    rules = (planner, MyopicPlanner(), PricedPlanner(price=16.0 * mean_cost, steepness=3000.0))
+    mine, cheapest, priced = (run_method(scenario, PlannerMethod(rule, name="x"), [3])[0].cost for rule in rules)
+    assert not np.allclose(cheapest, priced, equal_nan=True)
+    np.testing.assert_allclose(mine, cheapest if scenario.colocation else priced, rtol=1e-12)
+
+
+def test_what_is_refused_does_not_depend_on_the_level_at_which_walks_are_compared():
+    scenario = worlds()[2].replace(admission_control=True)
+    by_cost, at_level = (
+        trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8]), scenario, compare_at=level) for level in (0.0, 64.0)
+    )
+    simulator = Simulator(scenario, 1)
+    simulator.start(0, scenario.workload(0))
+    plans = np.zeros((2, 1, simulator.world.rules.max_steps), np.int64)
+    row, lengths, answers = np.zeros(1, np.int64), np.zeros((2, 1), np.int64), []
+    while not simulator.world.env["done"][0]:
+        for planner, plan, length in zip((by_cost, at_level), plans, lengths, strict=True):
+            planner.plan_rows(simulator.world, row, plan, length)
+        answers.append((*lengths[:, 0], np.array_equal(*plans)))
+        simulator.answer(plans[1], lengths[1])
+    one, other, same = np.array(answers).T
+    np.testing.assert_array_equal(one == 0, other == 0)
+    assert 0 < (one == 0).mean() < 1 and not same[one > 0].all()
 
 
 def test_values_by_hand():

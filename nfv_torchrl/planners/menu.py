@@ -39,6 +39,7 @@ class Menu(NamedTuple):
     steps: np.ndarray  # int64 [B, K], how many; 0: not searched, or none
     cost: np.ndarray  # float64 [B, K], true cost, $
     delay: np.ndarray  # float64 [B, K], ms
+    rise: np.ndarray  # float64 [B, K], $, what each costs more at p = 1; inf where the level was not searched
     mask: np.ndarray  # bool [B, K + 1], walks that differ from every one before them, and reject, which is always there
 
 
@@ -79,6 +80,7 @@ def make_menu(rules: Rules, batch: int, levels: int) -> Menu:
         steps=np.zeros((batch, levels), np.int64),
         cost=np.zeros((batch, levels)),
         delay=np.zeros((batch, levels)),
+        rise=np.full((batch, levels), np.inf),
         mask=np.zeros((batch, levels + 1), np.bool_),
     )
 
@@ -246,6 +248,8 @@ def _search_levels(world, b, own, menu):
             return OVERFLOW
         if _search_between(world, b, own, menu) == OVERFLOW:
             return OVERFLOW
+    for k in range(own.level.size):
+        menu.rise[b, k] = own.rise[k]
     return MADE
 
 

@@ -22,7 +22,7 @@ from nfv_torchrl.observations.asked import ASKED
 from nfv_torchrl.observations.menu import describe_menu, describes_asked
 from nfv_torchrl.observations.menu_layout import FACTORS, ROW, STATE, MenuShape
 from nfv_torchrl.planners.base import Planner
-from nfv_torchrl.planners.menu import LEVELS, STEEPNESS, fill_menu, grow_menu_scratch
+from nfv_torchrl.planners.menu import LEAST_COST, LEVELS, STEEPNESS, fill_menu, grow_menu_scratch
 from nfv_torchrl.plans.menus import Menus
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW
@@ -34,6 +34,8 @@ from nfv_torchrl.simulator.state import World
 PER_STAY = 4.0
 """What a stay of the mean lifetime is charged, in bid prices, where lifetimes are seen; chosen on networks of its own
 (docs/results/plans.md)."""
+COMPARE_AT = 0.0
+"""The price level at which walks are compared where functions of a request may not share a node; 0: by true costs."""
 
 
 class Prices(NamedTuple):
@@ -44,13 +46,26 @@ class Prices(NamedTuple):
     by_demand: bool  # whether the form is ``price``
     w_acc: float
     w_cost: float
+    compare_at: float  # p, see ``MenuPlanner``
+
+
+@part
+def _risen(b, k, menu, flat, level):
+    """By how much walk k is dearer at price level p than its true cost says, as ``ROW.regret`` counts.
+
+    0 where functions may share a node."""
+    if level == 0.0 or flat[b, STATE.colocation] > 0.0:
+        return 0.0
+    return level * (menu.rise[b, k] - menu.rise[b, 0]) / max(menu.cost[b, 0], LEAST_COST)
 
 
 @part
 def _choose_row(b, menu, flat, shape, prices):
-    """The walk of the highest value of environment b, or reject, the number after the last."""
+    """The walk of the highest value of environment b, or reject, the number after the last.
+
+    Whether the request is refused does not depend on ``compare_at``, only which walk it gets."""
     net = prices.price
-    best, highest = np.int64(shape.rows), 0.0
+    best, highest, most = np.int64(shape.rows), -np.inf, -np.inf
     for i in range(FACTORS, shape.state):
         prices.x[i - FACTORS] = flat[b, i]
     for k in range(shape.rows):
@@ -62,10 +77,12 @@ def _choose_row(b, menu, flat, shape, prices):
         price = np.float64(score_row(net.weights, net.sizes, net.activation, prices.x, net.now, net.after))
         if prices.by_demand:
             price *= np.float64(flat[b, STATE.demand]) * np.float64(flat[b, STATE.stay])
-        value = prices.w_acc - prices.w_cost * np.float64(flat[b, first + ROW.regret]) - price
-        if value >= highest and (value > highest or best == shape.rows):
+        regret = np.float64(flat[b, first + ROW.regret])
+        most = max(most, prices.w_acc - prices.w_cost * regret - price)
+        value = prices.w_acc - prices.w_cost * (regret + _risen(b, k, menu, flat, prices.compare_at)) - price
+        if value > highest:
             best, highest = np.int64(k), value
-    return best
+    return best if most >= 0.0 else np.int64(shape.rows)
 
 
 @kernel
@@ -101,6 +118,9 @@ class MenuPlanner(Planner):
         steepness: as in ``Menus``.
         per_stay: as in ``Menus``.
         labels: as in ``Menus``. Requests with a search that was stopped are counted as ``unproved``.
+        compare_at: p, in mean unit costs of the network's VMs: a policy whose network is a ``MenuNetwork`` compares
+            walks with each other by their costs at this price level where functions of a request may not share a node
+            (colocation off). Whether it refuses is decided by true costs all the same. 0: true costs for both.
 
     Raises:
         ScenarioError: levels that do not rise from 0, or labels < 1.
@@ -112,8 +132,9 @@ class MenuPlanner(Planner):
         steepness: AboveOne = STEEPNESS,
         per_stay: NotNegative | None = PER_STAY,
         labels: Count | None = None,
+        compare_at: NotNegative = COMPARE_AT,
     ) -> None:
-        self.menus = Menus(levels, steepness, per_stay, labels)
+        self.menus, self._compare_at = Menus(levels, steepness, per_stay, labels), float(compare_at)
         self._actor: Any = None
         self._prices: Prices | None = None
 
@@ -128,7 +149,7 @@ class MenuPlanner(Planner):
 
     def follow(self, actor: TensorDictModuleBase) -> MenuPlanner:
         """Decide by ``actor`` from now on; by the weights that it has now, where its network can be compiled."""
-        self._actor, self._prices = actor, compiled_prices(actor)
+        self._actor, self._prices = actor, compiled_prices(actor, self._compare_at)
         return self
 
     def prepare(self, world: World) -> None:
@@ -179,12 +200,24 @@ class MenuPlanner(Planner):
         scores = scorer(self._actor)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             if scores is not None and scores.in_keys == ["observation"]:
-                return scores.module(flat).masked_fill(~mask, -torch.inf).argmax(-1).numpy()
+                values = scores.module(flat).masked_fill(~mask, -torch.inf)
+                return self._choose(rows, values, scores.module).numpy()
             seen = TensorDict({"observation": flat, "action_mask": mask}, batch_size=[rows.size])
             return self._actor(seen)["action"].numpy()
 
+    def _choose(self, rows: np.ndarray, values: torch.Tensor, network: nn.Module) -> torch.Tensor:
+        """As ``_choose_row``, from values [R, K + 1] of all walks and reject."""
+        best, reject = values.argmax(-1), values.shape[-1] - 1
+        if self._compare_at == 0.0 or not isinstance(network, MenuNetwork):
+            return best
+        menu, apart = self.menus.menu, self.menus.flat[rows, STATE.colocation] == 0.0
+        rise = np.where(menu.mask[rows, :-1], menu.rise[rows], 0.0)
+        risen = self._compare_at * (rise - rise[:, :1]) / np.maximum(menu.cost[rows, :1], LEAST_COST)
+        dearer = torch.from_numpy(np.where(apart[:, None], network.w_cost * risen, 0.0))
+        return torch.where(best == reject, best, (values[:, :-1] - dearer).argmax(-1))
 
-def compiled_prices(actor: Any) -> Prices | None:
+
+def compiled_prices(actor: Any, compare_at: float = 0.0) -> Prices | None:
     """The network of ``actor`` as compiled code takes it, None where it is of a kind that torch has to run."""
     scores = scorer(actor) if isinstance(actor, QValueActor) else None
     network: nn.Module | None = None if scores is None else scores.module
@@ -196,4 +229,4 @@ def compiled_prices(actor: Any) -> Prices | None:
         return None
     shape: MenuShape = network.shape
     x = np.zeros(shape.state - FACTORS + shape.row, np.float32)
-    return Prices(price, x, network.form == "price", network.w_acc, network.w_cost)
+    return Prices(price, x, network.form == "price", network.w_acc, network.w_cost, compare_at)
