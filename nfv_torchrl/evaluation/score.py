@@ -241,24 +241,30 @@ def check_place(path: Path) -> None:
 
 
 def freeze(path: Path, title: str, runs: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write a manifest.
+    """Write a manifest, or add to one.
+
+    Of a manifest that is there the other runs stay. So do the rows of other methods, where scenario, network and
+    requests are the same.
 
     Args:
         path: where to.
         title: of the benchmark.
         runs: by name ``scenario`` (its config), ``seed`` (of the workload) and ``rows``, the metrics of every method.
     """
-    entries = {}
+    entries = read_manifest(path) if path.exists() else {}
     for name, run in runs.items():
         scenario = Scenario.from_config(run["scenario"])
-        entries[name] = {
+        rows = {method: {key: row[key] for key in SHOWN if key in row} for method, row in run["rows"].items()}
+        entry = {
             "scenario": run["scenario"],
             "seed": run["seed"],
             "rho": round(scenario.offered_load(), 6),
             "requests": len(scenario.workload(run["seed"])),
             **digests(scenario, run["seed"]),
-            "rows": {method: {key: row[key] for key in SHOWN if key in row} for method, row in run["rows"].items()},
         }
+        before = entries.get(name, {})
+        same = all(before.get(key) == value for key, value in entry.items() if key != "rho")
+        entries[name] = {**entry, "rows": {**(before.get("rows", {}) if same else {}), **rows}}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, json.dumps({"format": FORMAT, "title": title, "runs": entries}, indent=1) + "\n")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,20 @@ def test_the_frozen_benchmarks_are_still_what_they_were(name, monkeypatch):
         scenario, seed = build(runs[run], run)
         assert len(scenario.workload(seed)) == runs[run]["requests"]
         assert {"greedy", "myopic_optimal"} <= runs[run]["rows"].keys()
+
+
+def test_freezing_again_adds_rows_and_runs(frozen, tmp_path):
+    manifest = Path(shutil.copy(frozen[0], tmp_path))
+    row, before = {"aar": 0.5}, read_manifest(manifest)["small"]
+    freeze(manifest, "Small", {"small": {"scenario": CONFIG, "seed": 7, "rows": {"tabu": row}}})
+    assert read_manifest(manifest)["small"] == {**before, "rows": {**before["rows"], "tabu": row}}
+    freeze(manifest, "Small", {"other": {"scenario": CONFIG, "seed": 8, "rows": {"greedy": row}}})
+    assert list(read_manifest(manifest)) == ["small", "other"]
+    # A row that was run again is the new one, and rows of other requests are gone.
+    freeze(manifest, "Small", {"small": {"scenario": CONFIG, "seed": 7, "rows": {"greedy": row}}})
+    assert read_manifest(manifest)["small"]["rows"] == {"greedy": row, "tabu": row}
+    freeze(manifest, "Small", {"small": {"scenario": CONFIG, "seed": 9, "rows": {"greedy": row}}})
+    assert read_manifest(manifest)["small"]["rows"] == {"greedy": row}
 
 
 def lines_of(decisions):
