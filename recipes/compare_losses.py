@@ -7,7 +7,7 @@
 
 Every training is a run of its recipe in a process of its own, ``parallel.jobs`` of them at once. What has been computed
 before is not computed again, an interrupted run goes on from its checkpoint, and a loss of your own is one more entry
-of ``losses`` (``+losses.mine.overrides=[loss=mine]``).
+of ``losses`` (``+losses.mine.overrides=['loss=mine']``).
 
 Writes to ``output``: ``losses.md``, ``losses.csv``, ``learning_curves_*`` and
 ``profiles_*`` (png, pdf, csv), and the runs themselves.

@@ -2,7 +2,7 @@
 
     python recipes/time_to_quality.py                               # seven agents on `paper`, three training seeds each
     python recipes/time_to_quality.py only=[mlp,lookahead] seeds=5
-    python recipes/time_to_quality.py "+methods.mine.overrides=[preset=mlp,network=dueling]" only=[mine]
+    python recipes/time_to_quality.py "+methods.mine.overrides=['preset=mlp','network=dueling']" only=[mine]
     python recipes/time_to_quality.py compute=false                 # the table and picture of what is there so far
 
 Quality is AAR on held-out workloads over that of ``myopic_optimal`` on the same requests, at every evaluation of a

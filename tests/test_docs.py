@@ -13,6 +13,8 @@ from pathlib import Path
 from string import Template
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import OverrideParseException
 
 import nfv_torchrl
 from nfv_torchrl.cli import recipe_names
@@ -138,6 +140,25 @@ def test_commands_that_are_printed_would_start(recipe):
     for name, arguments in ALL_COMMANDS:
         if name == recipe and can_be_composed(name, arguments):
             check_recipe(name, one_of_the_sweep(arguments), ROOT / "recipes")
+
+
+def overrides_in_recipes() -> Iterator[tuple[str, str]]:
+    """Each override of the commands in the heads of recipes and of their configs, and the file that prints it."""
+    for path in sorted((ROOT / "recipes").rglob("*.py")) + sorted((ROOT / "recipes").rglob("*.yaml")):
+        for line in path.read_text().splitlines():
+            if "python recipes/" in line:
+                for quoted, plain in re.findall(r"\"([^\"\s]+=[^\"]*)\"|(?<=\s)([+~]*[\w.@/]+=\S+)", line):
+                    yield str(path.relative_to(ROOT)), quoted or plain
+
+
+def test_overrides_that_recipes_print_are_ones_that_hydra_reads():
+    parser, unread = OverridesParser.create(), []
+    for file, override in overrides_in_recipes():
+        try:
+            parser.parse_override(override)
+        except OverrideParseException:
+            unread.append(f"{file}: {override}")
+    assert not unread
 
 
 def test_make_train_sets_up_trains_and_evaluates_in_folders_of_their_own(tmp_path, monkeypatch):
