@@ -35,7 +35,7 @@ from nfv_torchrl.search.walks import (
     unit_costs,
     walk_totals,
 )
-from nfv_torchrl.simulator.compiled import inlined, kernel, part
+from nfv_torchrl.simulator.compiled import inlined, kernel, part, shared
 from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.tables import Tables
 
@@ -152,7 +152,7 @@ def plan_cheapest(world, b, prices, scratch, plan):
     return plan_within(world, b, prices, np.inf, scratch, plan)
 
 
-@part
+@shared
 def plan_within(world, b, prices, limit, scratch, plan):
     """``plan_cheapest`` among the walks whose priced cost ($) is at most ``limit``; 0 also if there is none of them.
 
@@ -232,7 +232,7 @@ def _begin(problem, scratch):
     scratch.labels.spent[0] = 0
 
 
-@part
+@shared
 def _search_labels(problem, scratch, search):
     """Steps of the best walk; with all labels used, of the best one known."""
     if not problem.distinct:

@@ -16,19 +16,21 @@ import re
 import stat
 import tempfile
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numba import config, njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.types.misc import unliteral
 
-from nfv_torchrl.simulator.parts import PartCompiler, PartFiles
+from nfv_torchrl.simulator.parts import KeptFiles, KernelCompiler, PartCompiler, SharedCompiler
 
 log = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parents[1]
-PART = {"pipeline_class": PartCompiler, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+WITHIN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+PART = {"pipeline_class": PartCompiler} | WITHIN
 IMPORT = re.compile(rf"^from ({PACKAGE.name}[\w.]*) import ([\w, ]*)", re.MULTILINE)
 
 
@@ -37,12 +39,17 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     It releases the GIL.
     """
-    return _compiled(function, nogil=True)
+    return _compiled(function, pipeline_class=KernelCompiler, nogil=True)
 
 
 def part(function: Callable[..., Any]) -> Any:
     """Compile a function that only kernels call; it becomes machine code within these, see ``PartLibrary``."""
     return _compiled(function, **PART)
+
+
+def shared(function: Callable[..., Any]) -> Any:
+    """Compile a function that several kernels call and that takes much longer to run than to call, once for all."""
+    return _compiled(function, pipeline_class=SharedCompiler, **WITHIN)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -59,10 +66,21 @@ def records(count: int, dtype: np.dtype) -> np.ndarray:
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     made = njit(_nrt=False, **options)(function)
     if made is not function:  # it is where Numba is switched off
-        kept = _cache_for(function, PartCache if "pipeline_class" in options else KernelCache)
+        made.get_call_template = partial(_call_of_any_value, made)
+        kept = _cache_for(function)
         if kept is not None:
             made._cache = kept
     return made
+
+
+def _call_of_any_value(called: Any, args: Any, kws: Any) -> Any:
+    """How Numba sees a call by compiled code: by the types of its arguments, never by the values of constants.
+
+    Numba compiles a function once more for every constant that it is called with, and for the value before a loop of
+    what a loop counts. LLVM knows the constants of a call when it optimises the kernel.
+    """
+    _, args = called._compiler.fold_argument_types(args, kws)
+    return type(called).get_call_template(called, [unliteral(kind) for kind in args], {})
 
 
 class KernelFile(IndexDataCacheFile):
@@ -91,6 +109,8 @@ class KernelCache(FunctionCache):
         RuntimeError: Numba finds no folder that it may write to.
     """
 
+    _impl_class = KeptFiles
+
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         stamp = (self._impl.locator.get_source_stamp(), source_stamp(Path(function.__code__.co_filename)))
@@ -113,16 +133,10 @@ class KernelCache(FunctionCache):
             _warn_once(f"compiled code cannot be kept in {self.cache_path} ({error.strerror})")
 
 
-class PartCache(KernelCache):
-    """The same for a ``part``."""
-
-    _impl_class = PartFiles
-
-
-def _cache_for(function: Callable[..., Any], kind: type[KernelCache]) -> KernelCache | None:
+def _cache_for(function: Callable[..., Any]) -> KernelCache | None:
     """A cache beside the source or in the user's home; else in the temporary folder; else none."""
     with contextlib.suppress(RuntimeError):
-        return kind(function)
+        return KernelCache(function)
     folder = _temporary_folder()
     if folder is None:
         _warn_once("there is no folder to keep compiled code in, so it is compiled anew each time")
@@ -131,7 +145,7 @@ def _cache_for(function: Callable[..., Any], kind: type[KernelCache]) -> KernelC
     # In the environment, where child processes find it.
     os.environ["NUMBA_CACHE_DIR"] = config.CACHE_DIR = str(folder)
     with contextlib.suppress(RuntimeError):
-        return kind(function)
+        return KernelCache(function)
     return None
 
 

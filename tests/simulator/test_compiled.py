@@ -48,6 +48,41 @@ def test_change_in_a_module_below_compiles_anew(house: Path) -> None:
     assert call(house) == ["4", "0"]
 
 
+SHARED = (
+    "from house.simulator.compiled import part, shared\n@shared\ndef square(x):\n    return x * x\n"
+    "@part\ndef level():\n    total = 0\n    for k in range(4):\n        total = square(total + k)\n"
+    "    return total + square(5)\n"
+)
+COUNT = (
+    "from house.simulator.high import twice; from house.simulator.low import square; "
+    "print(twice(), sum(twice.stats.cache_hits.values()), len(square.overloads), sum(square.stats.cache_hits.values()))"
+)
+
+
+def count(folder: Path) -> list[str]:
+    """What ``twice`` returned, whether it came from the cache, how often ``square`` is there, and whether cached."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")}
+    command = [sys.executable, "-c", COUNT]
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=True
+    ).stdout.split()
+
+
+def test_shared_code_is_compiled_once_and_its_callers_follow_it(house: Path) -> None:
+    """Once, also for constants and for what a loop counts; a kernel whose shared code is another one is made anew."""
+    (house / "house" / "simulator" / "low.py").write_text(SHARED)
+    assert count(house) == ["338", "0", "1", "0"]
+    assert count(house) == ["338", "1", "1", "1"]
+    for file in (house / "cache").rglob("*square*"):
+        file.unlink()
+    # Compiled first it has another name than compiled last; the kernel on disk must not look for that.
+    alone = "from house.simulator.low import square; from numba import int64; square.compile((int64,))"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(house / "cache")}
+    subprocess.run([sys.executable, "-c", alone], cwd=house, env=environment, check=True)
+    assert count(house) == ["338", "0", "1", "1"]
+    assert count(house) == ["338", "1", "1", "1"]
+
+
 def flipped(data: bytes) -> bytes:
     """One bit of machine code changed."""
     middle = len(data) // 2
