@@ -154,7 +154,8 @@ def relative_rates(law: ArrivalProcess, horizon: int) -> np.ndarray:
     edges = start + np.arange(horizon + 1, dtype=np.float64)
     part = np.r_[0.0, np.cumsum(rates)] * (period / len(rates))  # arrivals up to each edge of a part, at rate 1
     turns, within = np.divmod(edges, period)
-    return np.diff(turns * period + np.interp(within, np.linspace(0.0, period, len(part)), part))
+    so_far = turns * period + np.interp(within, np.linspace(0.0, period, len(part)), part)
+    return np.maximum(np.diff(so_far), 0.0)  # where the rate is 0, rounding makes it a little less
 
 
 def check_rate(law: ArrivalProcess, rate: float, most: float) -> None:
