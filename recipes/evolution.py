@@ -116,11 +116,10 @@ def main(cfg: DictConfig) -> None:
                 folder.save(state, progress.frames)
 
         bar.close()
-
-    folder.save(state, progress.frames)
-    logger.close()
-    print(f"Processor time: {time.process_time():.0f} s")
-    folder.print_ending(interrupted=stop.asked)
+        folder.save(state, progress.frames)
+        logger.close()
+        print(f"Processor time: {time.process_time():.0f} s")
+        folder.print_ending(interrupted=stop.asked)
 
 
 if __name__ == "__main__":

@@ -167,10 +167,10 @@ def main(cfg: DictConfig) -> None:
                 folder.save(state, progress.frames)
             bar.update()
 
-    bar.close()
-    folder.save(state, progress.frames)
-    logger.close()
-    folder.print_ending(interrupted=stop.asked)
+        bar.close()
+        folder.save(state, progress.frames)
+        logger.close()
+        folder.print_ending(interrupted=stop.asked)
 
 
 if __name__ == "__main__":

@@ -118,10 +118,10 @@ def main(cfg: DictConfig) -> None:
                 folder.save(state, progress.frames)
             bar.reach(progress.frames)
 
-    bar.close()
-    folder.save(state, progress.frames)
-    logger.close()
-    folder.print_ending(interrupted=stop.asked)
+        bar.close()
+        folder.save(state, progress.frames)
+        logger.close()
+        folder.print_ending(interrupted=stop.asked)
     collector.shutdown()  # says what failed
 
 

@@ -134,7 +134,8 @@ def quote(value: str | Path) -> str:
 class StopRequest:
     """Ctrl-C, SIGTERM or SIGUSR1 asks for an orderly stop after the current iteration.
 
-    A second Ctrl-C stops at once; the other two may come as often as a cluster sends them.
+    A second Ctrl-C stops at once; the other two may come as often as a cluster sends them, also while the run saves and
+    says how to go on, which belongs within.
     """
 
     def __init__(self) -> None:
