@@ -103,6 +103,7 @@ def baseline(task: Task, bound: bool = True) -> Baseline:
     myopic = float(np.isfinite(costs).mean())
     if myopic == 1.0 or not bound:
         return Baseline(costs, 0.0)
+    # Of requests from files always in hindsight: this is what the published policies were evolved with.
     blind = task.scenario.workload_path is None and blind_bound_applies(task.scenario)
     upper = blind_bound if blind else hindsight_bound
     return Baseline(costs, max(upper(task.scenario, task.workload, task.timeline).aar - myopic, 0.0))
