@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nfv_torchrl.search.cheapest import grow_scratch, make_scratch, plan_cheapest
@@ -15,27 +17,22 @@ PRICE_NOISE = 0.3
 """Standard deviation of the logarithm of the factors on VM and link unit costs."""
 
 
+class Refusal(NamedTuple):
+    """Who is refused while a network is loaded."""
+
+    fullest: float  # used share of the VMs above which large requests are refused
+    large: np.ndarray  # bool [P], whether requests of a profile are large
+
+
 @part
-def _is_refused(world, b, fullest, usual):
-    """Whether the VMs are fuller than ``fullest`` for a request that takes more than services do on average, or more
-    than ``usual`` where requests bring profiles of their own."""
-    tables, e = world.tables, world.env[b]
-    if world.ledger.vm_used[b, 0] <= fullest * tables.vm_total[e.net, 0]:
-        return False
-    if world.seen.demand:
-        return tables.load[e.profile, :, 0].sum() > usual
-    mine = everyone = 0.0
-    for service in range(tables.services):
-        load = tables.load[service, :, 0].sum()
-        everyone += load
-        mine += load if service == e.service else 0.0
-    return mine * tables.services > everyone
+def _is_refused(world, b, refusal):
+    e = world.env[b]
+    return refusal.large[e.profile] and (world.ledger.vm_used[b, 0] > refusal.fullest * world.tables.vm_total[e.net, 0])
 
 
 @kernel
-def forward_planned(world, b, slot, prices, fullest, usual, scratch, plan):
-    """Answer requests of environment b by ``plan_cheapest`` until ``slot``; see ``Loader`` for ``fullest``, and
-    ``_is_refused`` for ``usual``, Mcycles/s.
+def forward_planned(world, b, slot, prices, refusal, scratch, plan):
+    """Answer requests of environment b by ``plan_cheapest`` until ``slot``, but for those that ``refusal`` is about.
 
     Returns FINISHED, NO_ROOM if the simulator's pools run low, or OVERFLOW if the scratch must grow.
     """
@@ -44,7 +41,7 @@ def forward_planned(world, b, slot, prices, fullest, usual, scratch, plan):
         if not has_room(world, b):
             return NO_ROOM
         steps = 0
-        if not _is_refused(world, b, fullest, usual):
+        if not _is_refused(world, b, refusal):
             steps = plan_cheapest(world, b, prices, scratch, plan)
         if steps == OVERFLOW:
             return OVERFLOW
@@ -72,7 +69,7 @@ class Loader:
         self.simulator, self.fullest = simulator, fullest
         unproved = np.zeros(simulator.batch_size, np.int64)
         self._scratch = make_scratch(simulator.tables, allowed=labels or NO_LIMIT, unproved=unproved)
-        self._usual = float(simulator.tables.load[:, :, 0].sum(axis=1).mean())
+        self._large = _large(simulator)
         self._plan = np.zeros(simulator.world.rules.max_steps, np.int64)
 
     def forward(self, b: int, slot: int, rng: np.random.Generator) -> None:
@@ -81,10 +78,9 @@ class Loader:
         vm_price = tables.vm_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.vm_unit_cost[net].shape))
         link_price = tables.link_unit_cost[net] * np.exp(rng.normal(0.0, PRICE_NOISE, tables.link_unit_cost[net].shape))
         prices = Prices(vm_price, link_price)
-        fullest = np.inf if self.fullest is None else rng.uniform(*self.fullest)
+        refusal = Refusal(np.inf if self.fullest is None else rng.uniform(*self.fullest), self._large)
         while True:
-            world, usual = self.simulator.world, self._usual
-            outcome = forward_planned(world, b, slot, prices, fullest, usual, self._scratch, self._plan)
+            outcome = forward_planned(self.simulator.world, b, slot, prices, refusal, self._scratch, self._plan)
             if outcome == FINISHED:
                 break
             if outcome == NO_ROOM:
@@ -93,3 +89,12 @@ class Loader:
                 self._scratch = grow_scratch(tables, self._scratch)
         self.simulator.make_room_for(b)  # the last plan may have taken what the next step needs
         self.simulator.clear_outcome(b)
+
+
+def _large(simulator: Simulator) -> np.ndarray:
+    """Profiles with more load than services have on average, or, where requests bring their own, than all profiles."""
+    tables = simulator.tables
+    load = tables.load[:, :, 0].sum(axis=1)
+    if simulator.world.seen.demand:
+        return load * load.size > load.sum()
+    return (load * tables.services > load[: tables.services].sum())[tables.service]

@@ -24,6 +24,7 @@ from nfv_torchrl.search.walks import (
     place_cost,
     place_delay,
     walk_totals,
+    with_excess,
 )
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.references import by_reference
@@ -206,11 +207,7 @@ def judge(problem, placing, number, j, position, vm):
         if position[i] == (position[i - 1] if i > 0 else 0):
             steps += 1
         violation += _overuse(problem, node, position, vm, i)
-    if delay > problem.budget:
-        violation += delay / problem.budget - 1.0
-    if steps > problem.max_steps:
-        violation += steps - problem.max_steps
-    return cost, violation
+    return cost, with_excess(problem, violation, delay, steps)
 
 
 @part

@@ -10,8 +10,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.search.roaming import NOWHERE, Roaming, carries, make_roaming, may_stand, write_route, write_step
-from nfv_torchrl.search.walks import ends_at, hop_cost, hop_delay, link_fits, may_leave, place_cost, place_delay
+from nfv_torchrl.search.roaming import (
+    NOWHERE,
+    Roaming,
+    carries,
+    close_nearest,
+    make_roaming,
+    may_stand,
+    write_route,
+    write_step,
+)
+from nfv_torchrl.search.walks import (
+    ends_at,
+    hop_cost,
+    hop_delay,
+    link_fits,
+    may_leave,
+    place_cost,
+    place_delay,
+    with_excess,
+)
 from nfv_torchrl.simulator.compiled import part
 from nfv_torchrl.simulator.references import by_reference
 from nfv_torchrl.simulator.steps import fits
@@ -29,6 +47,7 @@ class Tree(NamedTuple):
     distance: np.ndarray  # float64 [N], $ with penalties, inf: no route
     via_node: np.ndarray  # int64 [N], the next node towards that one
     via_link: np.ndarray  # int64 [N]
+    back: bool  # whether the routes lead to that node
 
 
 @by_reference
@@ -97,13 +116,13 @@ def lay_chains(problem, own):
 def _lay_chain(problem, roaming):
     """Steps of the greedy chain, 0 if it comes to an end before its time, ``NOWHERE`` if every start was tried."""
     steps, node = 0, problem.ingress
-    tree = Tree(roaming.distance, roaming.via_node, roaming.via_link)
+    tree = Tree(roaming.distance, roaming.via_node, roaming.via_link, False)
     for i in range(problem.functions):
         here = node
         if here < 0:
             tree.distance[:] = 0.0
         else:
-            _spread(problem, roaming, steps, here, i, False, tree)
+            _spread(problem, roaming, steps, here, i, tree)
         node, vm = _best_place(problem, roaming, steps, here, i)
         if node < 0:
             return NOWHERE if here < 0 else 0
@@ -113,7 +132,7 @@ def _lay_chain(problem, roaming):
         else:
             steps = write_route(roaming, steps, here, node, vm)
     if not ends_at(problem, node):
-        _spread(problem, roaming, steps, node, problem.functions, False, tree)
+        _spread(problem, roaming, steps, node, problem.functions, tree)
         if tree.distance[problem.egress] == np.inf:
             return 0
         steps = write_route(roaming, steps, node, problem.egress, -1)
@@ -157,8 +176,8 @@ def _lacking_share(problem, walk, steps, node, vm, i):
 
 
 @part
-def _spread(problem, roaming, steps, source, i, back, tree):
-    """Dijkstra by penalised cost for segment ``i``: from ``source``, or with ``back`` to it, from all nodes.
+def _spread(problem, roaming, steps, source, i, tree):
+    """Dijkstra by penalised cost for segment ``i``: from ``source``, or with ``tree.back`` to it, from all nodes.
 
     Links have to carry what the first ``steps`` steps of ``roaming.walk`` take of them, too.
     """
@@ -167,23 +186,19 @@ def _spread(problem, roaming, steps, source, i, back, tree):
     closed[:] = False
     tree.distance[source] = 0.0
     while True:
-        node, least = -1, np.inf
-        for n in range(problem.nodes):
-            if not closed[n] and tree.distance[n] < least:
-                node, least = n, tree.distance[n]
+        node = close_nearest(problem, tree.distance, closed)
         if node < 0:
             return
-        closed[node] = True
-        if not back and not may_leave(problem, node, i):
+        if not tree.back and not may_leave(problem, node, i):
             continue
         for k in range(problem.degree[node]):
             link, after = problem.neighbour_link[node, k], problem.neighbour[node, k]
-            if back:
+            if tree.back:
                 if not may_leave(problem, after, i):
                     continue
                 if problem.full_duplex:
                     link = link ^ 1
-            distance = least + hop_cost(problem, link, i)
+            distance = tree.distance[node] + hop_cost(problem, link, i)
             if distance < tree.distance[after]:
                 if not carries(problem, roaming, steps, link, i):
                     distance += PENALTY
@@ -219,11 +234,7 @@ def judge_walk(problem, own, steps):
     for j in range(steps):
         if walk.link[j] >= 0:
             own.taken[walk.link[j]] = 0
-    if delay > problem.budget:
-        violation += delay / problem.budget - 1.0
-    if steps > problem.max_steps:
-        violation += steps - problem.max_steps
-    return cost, violation
+    return cost, with_excess(problem, violation, delay, steps)
 
 
 @part
@@ -276,11 +287,11 @@ def refresh_trees(problem, own, i):
         if not own.stale[side, i]:
             continue
         source = stand(problem, own, i - 1 if side == AHEAD else i + 1)
-        tree = Tree(own.distance[side, i], own.via_node[side, i], own.via_link[side, i])
+        tree = Tree(own.distance[side, i], own.via_node[side, i], own.via_link[side, i], side == BACK)
         if source < 0:
             tree.distance[:] = 0.0
         else:
-            _spread(problem, own.roaming, 0, source, i if side == AHEAD else i + 1, side == BACK, tree)
+            _spread(problem, own.roaming, 0, source, i if side == AHEAD else i + 1, tree)
         own.stale[side, i] = False
 
 

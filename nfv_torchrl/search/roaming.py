@@ -170,13 +170,9 @@ def _route(problem, roaming, steps, here, i):
     closed[:] = False
     distance[here] = 0.0
     while True:
-        node, least = -1, np.inf
-        for n in range(problem.nodes):
-            if not closed[n] and distance[n] < least:
-                node, least = n, distance[n]
+        node = close_nearest(problem, distance, closed)
         if node < 0:
             return
-        closed[node] = True
         if node == problem.egress and not problem.distinct:  # a walk stays there
             continue
         for k in range(problem.degree[node]):
@@ -186,6 +182,18 @@ def _route(problem, roaming, steps, here, i):
                 distance[after] = weight
                 roaming.via_node[after] = node
                 roaming.via_link[after] = link
+
+
+@part
+def close_nearest(problem, distance, closed):
+    """The nearest node that was not closed yet, which is closed now; -1 if none is left that can be reached."""
+    node, least = -1, np.inf
+    for n in range(problem.nodes):
+        if not closed[n] and distance[n] < least:
+            node, least = n, distance[n]
+    if node >= 0:
+        closed[node] = True
+    return node
 
 
 @part

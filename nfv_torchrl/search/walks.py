@@ -204,6 +204,16 @@ def may_leave(problem, node, i):
 
 
 @inlined
+def with_excess(problem, violation, delay, steps):
+    """``violation`` and what a walk of that delay (ms) and so many steps has of each beyond what it may have."""
+    if delay > problem.budget:
+        violation += delay / problem.budget - 1.0
+    if steps > problem.max_steps:
+        violation += steps - problem.max_steps
+    return violation
+
+
+@inlined
 def encode_walk(walk, steps, vms, plan):
     """Write the actions of ``walk`` into ``plan``; a forwarding hop names VM 0."""
     for j in range(steps):
