@@ -85,7 +85,7 @@ def main(cfg: DictConfig) -> None:
     frames_per_batch = cfg.collector.num_envs * cfg.collector.steps
     buffer = make_buffer(config["buffer"], size=cfg.buffer.size, batch_size=cfg.buffer.batch_size, device=device)
     updater = target_updater(cfg.target, loss)
-    optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr)
+    optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.learner.lr, fused=True)
 
     def update(batch: TensorDictBase) -> TensorDictBase:
         """One gradient step and one of the target network; what ``torch.compile`` gets."""

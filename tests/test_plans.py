@@ -25,7 +25,7 @@ from nfv_torchrl.losses import greedy_actor
 from nfv_torchrl.methods import PlannerMethod
 from nfv_torchrl.methods.base import WholePlay
 from nfv_torchrl.methods.planned import planner_method
-from nfv_torchrl.networks import MenuNetwork, MLPNetwork
+from nfv_torchrl.networks import MenuNetwork, MLPNetwork, Sizes
 from nfv_torchrl.observations.menu_layout import ROW, ROW_SERVICE, SERVICE, STATE, MenuShape
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.planners.priced import fill_prices
@@ -104,6 +104,26 @@ def test_a_menu_by_hand():
     # bounces between 1 and 2, for 77 $.
     assert menu.cost[0, 0] == toy.DUO_0_TO_3_THIRD[0]
     assert menu.action[0, 0, : menu.steps[0, 0]].tolist() == toy.DUO_0_TO_3_THIRD[2]
+
+
+@pytest.mark.parametrize("places", [None, 1, 3])
+def test_what_is_kept_of_requests_is_what_would_be_found_anew(places):
+    """Descriptions by one ``Menus``, which keeps where requests can go, and by a new one for each state; also where
+    requests take each other's places all the time."""
+    env = PlanEnv(worlds(), 6)
+    needs = env.menus.view.needs
+    if places is not None:
+        fewer = needs._replace(kept_code=needs.kept_code[:places], kept=needs.kept[:places])
+        env.menus.view = env.menus.view._replace(needs=fewer)
+    for seed in range(4):
+        rollout(env, 10, seed)
+        anew = Menus()
+        anew.prepare(env.simulator.world)
+        for world, mine in env._worlds(np.arange(6)):
+            anew.make(world, mine)
+            env.menus.make(world, mine)
+        np.testing.assert_array_equal(env.menus.flat, anew.flat)
+        assert anew.flat.any(axis=1).all()
 
 
 def test_what_is_seen_by_hand():
@@ -420,6 +440,24 @@ def test_values_by_hand():
     with torch.no_grad():
         free.price[-1].bias.copy_(torch.tensor([0.0, 1.0, 2.0]))
     assert free(seen.expand(7, -1))[0, 0].tolist() == [1, 0, -1]
+
+
+@pytest.mark.parametrize("form", ["price", "free"])
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_values_of_one_action_each_are_those_among_all(form, outputs):
+    """Values, and what they teach the weights."""
+    torch.manual_seed(5)
+    network = MenuNetwork(Sizes(observation=0, actions=4, services=2, candidate_features=0), outputs, form=form)
+    for weights in network.parameters():
+        torch.nn.init.normal_(weights, 0, 0.3)
+    seen, action = torch.rand(8, network.shape.size), torch.arange(8).unsqueeze(-1) % 4
+    among = network(seen).reshape(8, 4, outputs)[torch.arange(8), action.squeeze(-1)]
+    taught = []
+    for values in (network.values_of(seen, action), among):
+        network.zero_grad()
+        values.square().sum().backward()
+        taught.append((values.detach(), [weights.grad.clone() for weights in network.parameters()]))
+    torch.testing.assert_close(*taught, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize(

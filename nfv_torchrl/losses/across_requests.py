@@ -149,7 +149,7 @@ class AcrossRequests(MaskedLoss):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """The loss of transitions made by ``prepare``."""
-        taken = self.outputs("value_network", tensordict).gather(-1, self.action(tensordict))
+        taken = self.value_of(tensordict, self.action(tensordict))
         with torch.no_grad():
             goal = self._target(tensordict)
             error = goal - taken
@@ -167,10 +167,8 @@ class AcrossRequests(MaskedLoss):
     def _target(self, tensordict: TensorDictBase) -> Tensor:
         """y, float32 [batch, 1]."""
         after, keys = tensordict.get("next"), self.tensor_keys
-        values = self.outputs("value_network", after, target=True)
-        judges = self.outputs("value_network", after) if self.double else values
-        best = masked_argmax(judges, self.mask(after))
-        ahead = self.returns(tensordict, values.gather(-1, best), after.get(keys.discount))
+        best = masked_argmax(self.outputs("value_network", after, target=not self.double), self.mask(after))
+        ahead = self.returns(tensordict, self.value_of(after, best, target=True), after.get(keys.discount))
         rate = self.rate
         if self.environments > 1:
             rate = rate[after.get(keys.environment).squeeze(-1)]

@@ -154,6 +154,16 @@ class MaskedLoss(Acting, LossModule):
         with params.to_module(network):
             return network(*inputs, *more)
 
+    def value_of(self, tensordict: TensorDictBase, action: Tensor, *, target: bool = False) -> Tensor:
+        """What the value network, of one output, says of one action each, int64 [batch, 1], in the state in
+        ``tensordict``; [batch, 1]. A network that has ``values_of`` is not asked for the other actions."""
+        network: Any = self.value_network
+        if not hasattr(network, "values_of"):
+            return self.outputs("value_network", tensordict, target=target).gather(-1, action)
+        params = self.target_value_network_params.data if target else self.value_network_params
+        with params.to_module(network):
+            return network.values_of(*(tensordict.get(key) for key in self.network_keys), action)
+
     def mask(self, tensordict: TensorDictBase) -> Tensor:
         """A_p of the state in ``tensordict``, bool [batch, A]."""
         return tensordict.get(self.tensor_keys.action_mask)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from tensordict import TensorDictBase
-from torchrl.objectives import DQNLoss
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import nn
+from torchrl.objectives import DQNLoss, distance_loss
 
 from nfv_torchrl.losses.actors import greedy_actor
 from nfv_torchrl.losses.base import Acting
+from nfv_torchrl.losses.some_values import serves, some_values
 from nfv_torchrl.networks import NetworkFactory, Sizes
 from nfv_torchrl.settings.values import Distance, Share, StopKey
 
@@ -55,7 +60,37 @@ class DQN(Acting, DQNLoss):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The loss of a batch of transitions; see ``MaskedLoss`` for the keys of a prioritised memory."""
+        if serves(self._network, tensordict):
+            return self._forward_some(tensordict)
         values = super().forward(tensordict)
         priority = tensordict.get(self.tensor_keys.priority)
         tensordict.set(self.tensor_keys.priority, priority.sqrt())  # the size of the error; TorchRL writes its square
         return values
+
+    @property
+    def _network(self) -> nn.Module:
+        """The Q-network inside the functional actor; its parameters are elsewhere."""
+        actor: Any = self.value_network
+        return actor[0].module
+
+    def _forward_some(self, tensordict: TensorDictBase) -> TensorDict:
+        """The same, to within rounding, where only the values that are asked for are computed."""
+        online = some_values(self._network, self.value_network_params)
+        seen, keys = tensordict.get("observation"), self.tensor_keys
+        first = online.first(seen)
+        taken = online.of(online.hidden(first), tensordict.get(keys.action).reshape(-1))
+        with torch.no_grad():
+            after = tensordict.get("next")
+            observation, mask = after.get("observation"), after.get("action_mask")
+            target = some_values(self._network, self.target_value_network_params.data)
+            hidden = target.hidden(target.first(observation))
+            if self.double_dqn:
+                best = online.best(online.hidden(online.first_after(first, seen, observation)), mask)
+            else:
+                best = target.best(hidden, mask)
+            next_value = target.of(hidden, best).unsqueeze(-1)
+            goal = self.value_estimator.value_estimate(tensordict, next_value=next_value).squeeze(-1)
+            tensordict.set(keys.priority, (goal - taken).abs().unsqueeze(-1))
+        loss = distance_loss(taken, goal, self.loss_function)
+        weights = tensordict.get(keys.priority_weight, None) if self.use_prioritized_weights else None
+        return TensorDict({"loss": self._reduce_loss(loss, tensordict=tensordict, weights=weights)})

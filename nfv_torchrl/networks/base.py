@@ -38,6 +38,9 @@ class QNetwork(nn.Module):
     ``values`` are float32 [..., A], or [..., A, outputs] where a loss asks for several outputs per action (the
     quantiles of a distribution, say). Values of invalid actions may be anything; the mask is applied outside.
 
+    A network that values one action sooner than all may have a method ``values_of(*inputs, action)``, too, with
+    ``action`` int64 [B, 1]: its values, float32 [B, outputs], to within rounding. Losses across requests ask it.
+
     Attributes:
         in_keys: the keys it reads from a TensorDict.
         any_size: whether the same weights serve substrates of any size.

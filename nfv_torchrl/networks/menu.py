@@ -74,6 +74,32 @@ class MenuNetwork(QNetwork):
     def forward(self, observation: Tensor) -> Tensor:
         """Values of all walks and of reject, last."""
         state, rows = self._split(observation)
+        value = self.value(state[..., FACTORS:]).unsqueeze(-2)
+        values = torch.cat([self._known(rows) + value - self._price(state, rows), value], -2)
+        return values.squeeze(-1) if self.outputs == 1 else values
+
+    def values_of(self, observation: Tensor, action: Tensor) -> Tensor:
+        """The values of one action each, to within rounding, without those of the other walks.
+
+        Args:
+            observation: float32 [B, P].
+            action: int64 [B, 1].
+
+        Returns:
+            float32 [B, outputs].
+        """
+        state, rows = self._split(observation)
+        walk = action.clamp(max=self.shape.rows - 1).unsqueeze(-1).expand(-1, -1, rows.shape[-1])
+        row = rows.gather(-2, walk)
+        beyond = (self._known(row) - self._price(state, row)).squeeze(-2)
+        return self.value(state[..., FACTORS:]) + beyond.masked_fill(action == self.shape.rows, 0.0)
+
+    def _known(self, rows: Tensor) -> Tensor:
+        """The reward of walks [..., K, 1]."""
+        return self.w_acc - self.w_cost * rows[..., ROW.regret, None]
+
+    def _price(self, state: Tensor, rows: Tensor) -> Tensor:
+        """The last term of the values of walks, [..., K, outputs]."""
         factors, seen = state.split([FACTORS, self.shape.state - FACTORS], -1)
         # The first layer sees the state and a walk. What it makes of the state is the same for all walks.
         first, *later = self.price
@@ -83,10 +109,7 @@ class MenuNetwork(QNetwork):
             price = layer(price)
         if self.form == "price":
             price = price * factors.prod(-1, keepdim=True).unsqueeze(-1)
-        value = self.value(seen).unsqueeze(-2)
-        known = self.w_acc - self.w_cost * rows[..., ROW.regret, None]
-        values = torch.cat([known + value - price, value], -2)
-        return values.squeeze(-1) if self.outputs == 1 else values
+        return price
 
     def _split(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Numbers of the state [..., S] and of the walks [..., K, R]."""

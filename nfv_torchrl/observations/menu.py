@@ -26,7 +26,7 @@ from nfv_torchrl.observations.menu_layout import (
     room_of,
 )
 from nfv_torchrl.observations.menu_rows import describe_links, describe_vms, describe_what_is_left, read_places
-from nfv_torchrl.observations.needs import Needs, closeness, make_needs, measure_needs
+from nfv_torchrl.observations.needs import Needs, make_needs, measure_needs
 from nfv_torchrl.planners.menu import LEAST_COST
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.state import World
@@ -145,11 +145,11 @@ def _describe_needs(world, own, state):
         state[at + SERVICE.link_room] = 1.0
     for i in range(needs.different[0]):
         q = world.tables.service[needs.request[i, 0]]
-        at, share = first + q * len(SERVICE), needs.times[i] / needs.seen[q]
+        at, share = first + q * len(SERVICE), needs.share[i]
         room = least_room(needs.free[i], own.reference_load)
         state[at + SERVICE.vm_room] = min(state[at + SERVICE.vm_room], room)
         state[at + SERVICE.vm_room_mean] += share * room
-        state[at + SERVICE.close] += share * closeness(needs, i, needs.free[i])
+        state[at + SERVICE.close] += share * needs.close[i]
         for end in (needs.request[i, 1], needs.request[i, 2]):
             if end >= 0:
                 own.ends[end] = room_of(own.cut[end], own.reference_rate)

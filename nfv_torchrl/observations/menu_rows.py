@@ -89,10 +89,11 @@ def describe_what_is_left(world, own, placed, row):
         q = world.tables.service[profile]
         at = len(ROW) + q * len(ROW_SERVICE)
         take_units(needs, i, own.place, placed, own.left)
-        closer = closeness(needs, i, own.left) - closeness(needs, i, needs.free[i])
-        row[at + ROW_SERVICE.closer] += needs.times[i] / needs.seen[q] * closer
+        left = requests_left(needs, profile, own.left)
+        closer = closeness(left) - needs.close[i]
+        row[at + ROW_SERVICE.closer] += needs.share[i] * closer
         row[at + ROW_SERVICE.closer_most] = max(row[at + ROW_SERVICE.closer_most], closer)
-        room = room_of(requests_left(needs, profile, own.left), 1.0)
+        room = room_of(left, 1.0)
         row[at + ROW_SERVICE.room_least] = min(row[at + ROW_SERVICE.room_least], room)
 
 

@@ -16,6 +16,8 @@ from nfv_torchrl.simulator.tables import Tables
 
 PROBES = 64
 """Latest requests, with the one in hand, that say where room is needed."""
+KEPT = 4093
+"""So many requests of before keep the nodes that they reach, which are a matter of the network alone. A prime."""
 FEW = 4.0
 """So many more requests are few: half of the way from plenty of room to none."""
 
@@ -33,10 +35,15 @@ class Needs(NamedTuple):
     chain_units: np.ndarray  # int64 [P, K]
     different: np.ndarray  # int64 [1], how many different ones
     request: np.ndarray  # int64 [PROBES, 3], profile, ingress, egress
+    code: np.ndarray  # int64 [PROBES], the same as one number
     times: np.ndarray  # int64 [PROBES], how often it came
+    share: np.ndarray  # float64 [PROBES], of the latest requests of its type
     demand: np.ndarray  # int64 [PROBES], its row of what follows by demand
     reached: np.ndarray  # bool [PROBES, N], nodes that it could use, were nothing used
+    kept_code: np.ndarray  # int64 [KEPT], of requests of before, with network and rules; -1: none
+    kept: np.ndarray  # bool [KEPT, N], ``reached`` of these
     free: np.ndarray  # int64 [PROBES, K], ledger units on these nodes' VMs that its largest function fits on
+    close: np.ndarray  # float64 [PROBES], ``closeness`` with that
     profile: np.ndarray  # int64 [D]
     usable: np.ndarray  # int64 [D, N, K], ledger units on the VMs of every node that the largest function fits on
     drop: np.ndarray  # int64 [D, F, K], what each function of a walk takes of the usable units; scratch
@@ -89,10 +96,15 @@ def make_needs(tables: Tables, kinds: int, apart: bool) -> Needs:
         chain_units=tables.load_units[:, :, :kinds].sum(axis=1),
         different=np.zeros(1, np.int64),
         request=np.zeros((PROBES, 3), np.int64),
+        code=np.zeros(PROBES, np.int64),
         times=np.zeros(PROBES, np.int64),
+        share=np.zeros(PROBES),
         demand=np.zeros(PROBES, np.int64),
         reached=np.zeros((PROBES, nodes), np.bool_),
+        kept_code=np.full(KEPT, -1),
+        kept=np.zeros((KEPT, nodes), np.bool_),
         free=np.zeros((PROBES, kinds), np.int64),
+        close=np.zeros(PROBES),
         profile=np.arange(demands),
         usable=np.zeros((demands, nodes, kinds), np.int64),
         drop=np.zeros((demands, functions, kinds), np.int64),
@@ -107,12 +119,29 @@ def measure_needs(world, b, own):
     _measure_usable(world, b, own)
     nodes = world.tables.num_nodes[world.env[b].net]
     for i in range(own.different[0]):
-        request = (own.request[i, 0], own.request[i, 1], own.request[i, 2])
+        _find_reached(world, b, own, i)
         own.free[i] = 0
         for node in range(nodes):
-            own.reached[i, node] = _can_reach(world, b, own, request, node)
             for kind in range(own.free.shape[1]):
                 own.free[i, kind] += own.usable[own.demand[i], node, kind] * own.reached[i, node]
+        own.share[i] = own.times[i] / own.seen[world.tables.service[own.request[i, 0]]]
+        own.close[i] = closeness(requests_left(own, own.request[i, 0], own.free[i]))
+
+
+@part
+def _find_reached(world, b, own, i):
+    """Fill ``reached`` of request i: as kept, or anew, and then it is kept in place of another."""
+    rules, net = world.rules, world.env[b].net
+    nodes = world.tables.num_nodes[net]
+    code = (own.code[i] * world.tables.num_nodes.size + net) * 4 + rules.colocation * 2 + rules.distinct
+    slot = code % own.kept_code.size
+    if own.kept_code[slot] != code:
+        request = (own.request[i, 0], own.request[i, 1], own.request[i, 2])
+        for node in range(nodes):
+            own.kept[slot, node] = _can_reach(world, b, own, request, node)
+        own.kept_code[slot] = code
+    for node in range(nodes):
+        own.reached[i, node] = own.kept[slot, node]
 
 
 @part
@@ -152,12 +181,13 @@ def _collect(world, b, own):
         profile = np.int64(arrivals.profile[b, r])
         ingress, egress = np.int64(arrivals.ingress[b, r]), np.int64(arrivals.egress[b, r])
         own.seen[world.tables.service[profile]] += 1
+        ends = own.reached.shape[1] + 1
+        code = (profile * ends + ingress + 1) * ends + egress + 1  # a free end is -1
         i = 0
-        while i < count and not (
-            own.request[i, 1] == ingress and own.request[i, 2] == egress and own.request[i, 0] == profile
-        ):
+        while i < count and own.code[i] != code:
             i += 1
         if i == count:
+            own.code[i] = code
             own.request[i, 0], own.request[i, 1], own.request[i, 2] = profile, ingress, egress
             own.times[i] = 0
             own.demand[i] = i if own.apart else profile
@@ -199,9 +229,9 @@ def requests_left(own, profile, free):
 
 
 @part
-def closeness(own, i, free):
-    """How close request i is to finding no room, with ``free`` [K] where it can go: 1 if there is none, 0 if all."""
-    return 1.0 / (1.0 + requests_left(own, own.request[i, 0], free) / FEW)
+def closeness(room):
+    """How close a request is to finding no room, with room for so many more of it: 1 if there is none, 0 if all."""
+    return 1.0 / (1.0 + room / FEW)
 
 
 @part
