@@ -9,6 +9,7 @@ does a class, without ``_partial_``: its ``prepare(simulator)``, if it has one, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -34,8 +35,14 @@ Reward = Callable[[Mapping[str, np.ndarray], CostScale], np.ndarray]
 
 
 def prepared(reward: Reward | None, simulator: Simulator) -> Reward:
-    """``reward`` ready for the networks of ``simulator``; without one, ``admission_step_cost``."""
+    """``reward`` ready for the networks of ``simulator``; without one, ``admission_step_cost``.
+
+    What Hydra makes of a yaml checks its target anew in each call, longer than a reward takes to compute; it was
+    checked when it was made, so a plain ``partial`` takes its place.
+    """
     reward = reward or admission_step_cost
+    if isinstance(reward, partial) and type(reward).__module__.startswith("hydra."):
+        reward = partial(reward.func, *reward.args, **reward.keywords)
     if hasattr(reward, "prepare"):
         reward.prepare(simulator)
     return reward

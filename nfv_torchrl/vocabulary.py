@@ -201,6 +201,8 @@ for _row in (
     Quantity("sigma", "", "step size of the search", _LEARNER),
     # How fast it goes.
     Quantity("frames_per_second", "1/s", "decisions per second of training, with all that it stops for", ("speed",)),
+    Quantity("frames_per_processor_second", "1/s", "decisions per second of processor time, counted as "
+             "`processor_seconds` are", ("speed",)),
     Quantity("updates_per_second", "1/s", "updates per second that the learner is at work", ("speed",)),
     Quantity("evaluation_seconds", SECONDS, "wall time of an evaluation, without its figures", ("speed",)),
     Quantity("processor_seconds", SECONDS, "processor time of a training so far: collecting, learning, log lines and "

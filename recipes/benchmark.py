@@ -96,13 +96,13 @@ def describe_machine() -> dict[str, Any]:
 
 
 def run_training(config: dict[str, Any]) -> Iterator[Row]:
-    """The DQN recipe itself with the perceptron, in a process of its own; speeds as it logs them (wall time)."""
+    """The DQN recipe itself, in a process of its own; speeds as it logs them; the learner's are per wall time."""
     choice = HydraConfig.get().runtime.choices["scenario"]
     for nodes in config["nodes"]:
         with tempfile.TemporaryDirectory(prefix="benchmark_") as folder:
             scenario = make_scenario(config, nodes, 0)
             arguments = [
-                "preset=mlp", f"scenario={choice}", f"scenario.substrate.nodes={nodes}",
+                f"preset={config['training']['preset']}", f"scenario={choice}", f"scenario.substrate.nodes={nodes}",
                 f"scenario.arrival_rate={scenario.arrival_rate}", f"run_dir={quote(Path(folder) / 'run')}",
                 f"collector.total_frames={config['training']['frames']}",
                 "logger.interval=5", "eval.interval=0", "saving.interval=1000000", *config["training"]["overrides"],
@@ -112,16 +112,18 @@ def run_training(config: dict[str, Any]) -> Iterator[Row]:
             if run.returncode != 0:
                 raise ScenarioError(f"recipes/dqn.py failed with {' '.join(arguments)}:\n{run.stderr[-2000:]}")
             settings = OmegaConf.load(f"{folder}/run/config.yaml")
-            frames = late_median(f"{folder}/run", "speed/frames_per_second")
+            frames = late_median(f"{folder}/run", "speed/frames_per_processor_second")
+            wall = late_median(f"{folder}/run", "speed/frames_per_second")
             updates = late_median(f"{folder}/run", "speed/updates_per_second")
         alone = updates * settings.collector.num_envs * settings.collector.steps / settings.learner.updates
         yield {
             "N": nodes,
             "B": settings.collector.num_envs,
             "frames/s": frames,
+            "frames/s (wall)": wall,
             "updates/s of the learner": updates,
             "frames/s if only updating": alone,
-            "share": frames / alone,
+            "share": wall / alone,
         }
 
 
@@ -140,7 +142,7 @@ PARTS: dict[str, tuple[str, Callable[[dict[str, Any]], Iterator[Row]]]] = {
     "workers": ("Collectors of dqn.py: wall time, with the learner at rest", run_workers),
     "rows": ("Rows of candidate and of lookahead: an environment's step with them, the same actions", run_rows),
     "gym": ("Gymnasium: MaskablePPO of sb3-contrib, rollouts alone and learning", run_gym),
-    "training": ("Training: recipes/dqn.py preset=mlp", run_training),
+    "training": ("Training: recipes/dqn.py", run_training),
     "methods": ("Methods: decisions on loaded networks, simulation not counted", run_methods),
     "evaluation": ("Evaluations in a training: greedy policies of fresh networks, simulation counted", run_evaluations),
     "memory": ("Memory: arrays of a batch at the end of its horizon", run_memory),

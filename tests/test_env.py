@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import toy
+from hydra.utils import instantiate
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.collectors import Collector
@@ -469,6 +470,12 @@ def test_cost_scale():
     scale = toy_env().cost_scale
     assert scale.step.tolist() == [STEP]
     assert scale.request.tolist() == [REQUEST]
+
+
+def test_a_reward_of_a_yaml_is_not_checked_anew_in_each_step():
+    made = instantiate({"_target_": "nfv_torchrl.rewards.paper", "_partial_": True, "w_cost": 0.5})
+    assert type(made) is not partial and type(toy_env(reward=made).reward) is partial
+    assert earned(made, WALK) == earned(partial(rewards.paper, w_cost=0.5), WALK)
 
 
 def test_paper_reward():

@@ -239,6 +239,7 @@ class TimeToQualitySettings:
 class TrainingSpeed:
     """How training is measured."""
 
+    preset: str
     frames: Count
     overrides: Overrides
 

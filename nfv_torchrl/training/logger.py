@@ -140,7 +140,7 @@ class RunLogger(EventLog):
         Returns:
             A few words for a progress bar.
         """
-        values = window.metrics() | progress.speeds()
+        values = window.metrics() | progress.speeds(self.clock.seconds)
         more["reward"] = float(data["next", "reward"].mean())
         if "chosen_action_value" in data.keys():  # noqa: SIM118  a TensorDict iterates its batch; Q-actors alone have it
             more["chosen_q"] = float(data["chosen_action_value"].mean())

@@ -22,15 +22,20 @@ class Progress:
     best_cost: float = float("inf")
     best_frames: int = 0
     learning_seconds: float = field(default=0.0, repr=False)
-    _since: tuple[float, int, int, float] = field(default=(0.0, 0, 0, 0.0), repr=False)
+    _since: tuple[float, int, int, float, float] = field(default=(0.0, 0, 0, 0.0, 0.0), repr=False)
 
-    def speeds(self) -> dict[str, float]:
-        """Frames/s of training and updates/s of the learner alone, since the last call."""
-        now = (time.perf_counter(), self.frames, self.updates, self.learning_seconds)
+    def speeds(self, processor: float = 0.0) -> dict[str, float]:
+        """Frames/s of training and updates/s of the learner alone, since the last call.
+
+        ``processor``: processor seconds that the training took so far, if they are counted.
+        """
+        now = (time.perf_counter(), self.frames, self.updates, self.learning_seconds, processor)
         before, self._since = self._since, now
         if before[0] == 0.0:
             return {}
         values = {"speed/frames_per_second": (now[1] - before[1]) / (now[0] - before[0])}
+        if now[4] > before[4]:
+            values["speed/frames_per_processor_second"] = (now[1] - before[1]) / (now[4] - before[4])
         if now[3] > before[3]:
             values["speed/updates_per_second"] = (now[2] - before[2]) / (now[3] - before[3])
         return values

@@ -70,4 +70,4 @@ def test_training_speed_comes_from_the_recipe_itself(tmp_path):
     arguments = ",".join(f"'{argument}'" for argument in [*TINY_SCENARIO, *TINY_TRAINING])
     done = run("benchmark.py", "parts=[training]", *TINY, f"training.overrides=[{arguments}]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "updates/s of the learner" in done.stdout
+    assert "updates/s of the learner" in done.stdout and "frames/s (wall)" in done.stdout
