@@ -32,10 +32,11 @@ from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.state import World
 
 PER_STAY = 4.0
-"""What a stay of the mean lifetime is charged, in bid prices, where lifetimes are seen; chosen on networks of its own
-(docs/results/plans.md)."""
+"""What a stay of the mean lifetime is charged, in bid prices, where lifetimes are seen, by a policy whose file does not
+say; trainings write what ``env/plans.yaml`` has, which was chosen on networks of its own (docs/results/plans.md)."""
 COMPARE_AT = 0.0
-"""The price level at which walks are compared where functions of a request may not share a node; 0: by true costs."""
+"""The price level at which walks are compared where functions of a request may not share a node, by a policy whose file
+does not say, as above; 0: by true costs."""
 
 
 class Prices(NamedTuple):
