@@ -98,3 +98,9 @@ def test_other_networks_are_left_to_torchrl(network):
     loss: QNetwork = network(SIZES)
     assert not module.serves(loss, transitions())
     assert module.serves(MLPNetwork(SIZES), transitions())
+
+
+def test_other_devices_are_left_to_torchrl():
+    network, rows = MLPNetwork(SIZES), transitions()
+    assert module.serves(network, rows)
+    assert not module.serves(network, rows.to("meta"))

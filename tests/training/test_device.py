@@ -73,6 +73,8 @@ class Still(torch.optim.SGD):
 @pytest.mark.parametrize(("recipe", "choice"), LOSSES)
 def test_an_update_never_asks_the_device_for_a_number(recipe, choice, monkeypatch):
     loss, batch = loss_and_rows(recipe, choice)
+    # What a perceptron computes on a CPU alone, with compiled code of ours, is left out on other devices.
+    monkeypatch.setattr("nfv_torchrl.losses.dqn.serves", lambda network, tensordict: False)
     with initialize_config_dir(str(FOLDER), version_base=None):
         config = compose(recipe, ["preset=mlp"] if recipe == "dqn" else [])
     updater = target_updater(config.target, loss) if recipe == "dqn" else NoUpdater()
