@@ -16,17 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.search.labels import (
-    FOUND,
-    NONE,
-    UNFINISHED,
-    Search,
-    fill_tails,
-    link_number,
-    node_bit,
-    search_labels,
-    trace,
-)
+from nfv_torchrl.search.critical import fill_tails, link_number, node_bit
+from nfv_torchrl.search.labels import FOUND, NONE, UNFINISHED, Search, search_labels, trace
 from nfv_torchrl.search.narrow import copy_walk, narrow_walk
 from nfv_torchrl.search.raising import ROUNDING, raise_bounds
 from nfv_torchrl.search.togo import ToGo, fill_cost_to_go, fill_delay_to_go, make_to_go

@@ -8,19 +8,9 @@ import numpy as np
 
 from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.search.both_ways import BothWays, make_both_ways, remember, search_both_ways
+from nfv_torchrl.search.critical import Critical, add_overused, begin_request, make_critical
 from nfv_torchrl.search.hosting import Hosting, make_hosting, match_hosts
-from nfv_torchrl.search.labels import (
-    FOUND,
-    NO_LIMIT,
-    Critical,
-    Labels,
-    Search,
-    add_overused,
-    begin_request,
-    make_critical,
-    make_labels,
-    search_labels,
-)
+from nfv_torchrl.search.labels import FOUND, NO_LIMIT, Labels, Search, make_labels, search_labels
 from nfv_torchrl.search.narrow import Narrow, copy_walk, make_narrow, narrow_walk
 from nfv_torchrl.search.togo import ToGo, best_start, fill_cost_to_go, fill_delay_to_go, make_to_go
 from nfv_torchrl.search.walks import (

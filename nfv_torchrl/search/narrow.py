@@ -12,16 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nfv_torchrl.search.labels import (
-    FOUND,
-    Critical,
-    Labels,
-    Search,
-    begin_request,
-    make_critical,
-    make_labels,
-    search_labels,
-)
+from nfv_torchrl.search.critical import Critical, begin_request, make_critical
+from nfv_torchrl.search.labels import FOUND, Labels, Search, make_labels, search_labels
 from nfv_torchrl.search.roaming import Roaming, make_roaming, roam
 from nfv_torchrl.search.walks import Prices, walk_totals
 from nfv_torchrl.simulator.compiled import part
