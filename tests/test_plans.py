@@ -460,6 +460,17 @@ def test_values_of_one_action_each_are_those_among_all(form, outputs):
     torch.testing.assert_close(*taught, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize(("most", "seen"), [(None, 4), (50, 4), (4, 4), (2, 2)])
+def test_a_network_with_more_nodes_than_training_had_is_seen_as_having_so_many(most, seen):
+    scenario = toy.toy_scenario()
+    assert scenario.substrate.num_nodes == 4
+    menus = MenuPlanner([0.0, 10.0], most_nodes=most).menus
+    env = PlanEnv(scenario, 1, menus=menus)
+    assert env.reset()["observation"][0, STATE.nodes] == pytest.approx(np.log(seen) / 5)
+    with pytest.raises(ScenarioError, match="most_nodes is 0; give at least 1"):
+        MenuPlanner(most_nodes=0)
+
+
 @pytest.mark.parametrize(
     ("lifetime", "learned", "acting"), [(1.0, 0.75, 2.0), (2.0, 1.0, 4.0), (5.0, 1.75, 10.0), (100.0, 3.0, 20.0)]
 )

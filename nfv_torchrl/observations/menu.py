@@ -66,6 +66,7 @@ class MenuView(NamedTuple):
     left: np.ndarray  # int64 [K]; scratch
     at_once: float  # of ``stay_of``
     per_stay: float
+    most_nodes: int  # as so many a larger network is described
 
 
 def describes_asked(world: World) -> bool:
@@ -83,8 +84,11 @@ def charges(per_stay: float | None) -> dict[str, float]:
     return {"at_once": 0.0, "per_stay": float(per_stay)}
 
 
-def make_menu_view(world: World, per_stay: float | None) -> MenuView:
-    """``MenuView`` for any network and request of ``world``, with stays charged by ``charges(per_stay)``."""
+def make_menu_view(world: World, per_stay: float | None, most_nodes: int | None = None) -> MenuView:
+    """``MenuView`` for any network and request of ``world``, with stays charged by ``charges(per_stay)``.
+
+    Networks of more than ``most_nodes`` are described as having so many; None: all as they are.
+    """
     tables, asked = world.tables, describes_asked(world)
     _, nodes, _, kinds = tables.vm_capacity.shape
     kinds = kinds if asked else 1
@@ -109,6 +113,7 @@ def make_menu_view(world: World, per_stay: float | None) -> MenuView:
         share=np.zeros(functions),
         left=np.zeros(kinds, np.int64),
         **charges(per_stay),
+        most_nodes=nodes if most_nodes is None else most_nodes,
     )
 
 
@@ -176,7 +181,7 @@ def _describe_state(world, b, own, menu, state):
     state[STATE.vm_used_pow8] = pow8(used)
     state[STATE.link_used] = e.link_used / tables.link_total[net]
     state[STATE.colocation] = 1.0 if world.rules.colocation else 0.0
-    state[STATE.nodes] = np.log(tables.num_nodes[net]) / 5.0
+    state[STATE.nodes] = np.log(min(tables.num_nodes[net], own.most_nodes)) / 5.0
     size = np.inf
     for kind in range(own.reference_load.size):
         size = min(size, max(own.mean_units[net, kind], 1.0) / own.reference_load[kind])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.observations.menu import MenuView, describe_menus, describes_asked, make_menu_view
 from nfv_torchrl.observations.menu_layout import MenuShape
 from nfv_torchrl.planners.base import check_labels
@@ -37,6 +38,8 @@ class Menus:
             stay; None: half of one for coming, and half in proportion, as in training.
         labels: limit on the search at each level, see ``ExactPlanner``: what goes beyond it is not proved the cheapest
             at that level. None: no limit.
+        most_nodes: networks of more nodes are described to the policy as having so many; None: as they are. A policy
+            that was trained on networks of at most so many has learned nothing of what more nodes mean.
 
     Attributes:
         menu: the walks, after ``make``.
@@ -46,7 +49,7 @@ class Menus:
             None.
 
     Raises:
-        ScenarioError: levels that do not rise from 0, or labels < 1.
+        ScenarioError: levels that do not rise from 0, or labels or most_nodes < 1.
     """
 
     menu: Menu
@@ -62,9 +65,12 @@ class Menus:
         steepness: AboveOne = STEEPNESS,
         per_stay: NotNegative | None = None,
         labels: Count | None = None,
+        most_nodes: Count | None = None,
     ) -> None:
         self.level, self.steepness, self.labels = check_levels(levels), float(steepness), check_labels(labels)
-        self._per_stay = per_stay
+        if most_nodes is not None and most_nodes < 1:
+            raise ScenarioError(f"most_nodes is {most_nodes}; give at least 1, or None to see networks as they are")
+        self._per_stay, self._most_nodes = per_stay, most_nodes
         self._tables: Tables | None = None
 
     def shape(self, world: World) -> MenuShape:
@@ -81,7 +87,7 @@ class Menus:
         self.unproved = None if self.labels is None else np.zeros(batch, np.int64)
         search = make_scratch(world.tables, allowed=self.labels or NO_LIMIT, unproved=self.unproved)
         self.own = make_menu_scratch(world.tables, self.level, self.steepness, search)
-        self.view = make_menu_view(world, self._per_stay)
+        self.view = make_menu_view(world, self._per_stay, self._most_nodes)
         self.menu = make_menu(world.rules, batch, len(self.level))
         self.flat = np.zeros((batch, layout.size), np.float32)
 

@@ -122,9 +122,10 @@ class MenuPlanner(Planner):
         compare_at: p, in mean unit costs of the network's VMs: a policy whose network is a ``MenuNetwork`` compares
             walks with each other by their costs at this price level where functions of a request may not share a node
             (colocation off). Whether it refuses is decided by true costs all the same. 0: true costs for both.
+        most_nodes: as in ``Menus``. For policies that were trained on smaller networks than they are used on.
 
     Raises:
-        ScenarioError: levels that do not rise from 0, or labels < 1.
+        ScenarioError: levels that do not rise from 0, or labels or most_nodes < 1.
     """
 
     def __init__(
@@ -134,8 +135,10 @@ class MenuPlanner(Planner):
         per_stay: NotNegative | None = PER_STAY,
         labels: Count | None = None,
         compare_at: NotNegative = COMPARE_AT,
+        most_nodes: Count | None = None,
     ) -> None:
-        self.menus, self._compare_at = Menus(levels, steepness, per_stay, labels), float(compare_at)
+        self.menus = Menus(levels, steepness, per_stay, labels, most_nodes)
+        self._compare_at = float(compare_at)
         self._actor: Any = None
         self._prices: Prices | None = None
 
