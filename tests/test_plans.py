@@ -2,6 +2,7 @@
 
 import copy
 import random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -39,6 +40,7 @@ from nfv_torchrl.simulator.compiled import kernel
 from nfv_torchrl.simulator.steps import find_link
 from nfv_torchrl.testing import check_planner
 from nfv_torchrl.testing.worlds import full_scenario
+from nfv_torchrl.training.decisions import PlanDecisions
 
 pytestmark = pytest.mark.filterwarnings("ignore:The env passed to Collector:FutureWarning")
 
@@ -464,9 +466,12 @@ def test_values_of_one_action_each_are_those_among_all(form, outputs):
 def test_a_network_with_more_nodes_than_training_had_is_seen_as_having_so_many(most, seen):
     scenario = toy.toy_scenario()
     assert scenario.substrate.num_nodes == 4
-    menus = MenuPlanner([0.0, 10.0], most_nodes=most).menus
-    env = PlanEnv(scenario, 1, menus=menus)
-    assert env.reset()["observation"][0, STATE.nodes] == pytest.approx(np.log(seen) / 5)
+    planner = MenuPlanner([0.0, 10.0], most_nodes=most)
+    network = MenuNetwork(planner.sizes(Simulator(scenario, 1)), hidden=[4])
+    loss = SimpleNamespace(actor=greedy_actor(network, 3))
+    learning = PlanDecisions(planner).environment(scenario, 1, loss, reward=admission_regret)
+    for env in (PlanEnv(scenario, 1, menus=planner.menus), learning):
+        assert env.reset()["observation"][0, STATE.nodes] == pytest.approx(np.log(seen) / 5)
     with pytest.raises(ScenarioError, match="most_nodes is 0; give at least 1"):
         MenuPlanner(most_nodes=0)
 

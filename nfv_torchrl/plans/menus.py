@@ -70,7 +70,7 @@ class Menus:
         self.level, self.steepness, self.labels = check_levels(levels), float(steepness), check_labels(labels)
         if most_nodes is not None and most_nodes < 1:
             raise ScenarioError(f"most_nodes is {most_nodes}; give at least 1, or None to see networks as they are")
-        self._per_stay, self._most_nodes = per_stay, most_nodes
+        self._per_stay, self.most_nodes = per_stay, most_nodes
         self._tables: Tables | None = None
 
     def shape(self, world: World) -> MenuShape:
@@ -87,7 +87,7 @@ class Menus:
         self.unproved = None if self.labels is None else np.zeros(batch, np.int64)
         search = make_scratch(world.tables, allowed=self.labels or NO_LIMIT, unproved=self.unproved)
         self.own = make_menu_scratch(world.tables, self.level, self.steepness, search)
-        self.view = make_menu_view(world, self._per_stay, self._most_nodes)
+        self.view = make_menu_view(world, self._per_stay, self.most_nodes)
         self.menu = make_menu(world.rules, batch, len(self.level))
         self.flat = np.zeros((batch, layout.size), np.float32)
 

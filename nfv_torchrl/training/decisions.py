@@ -119,7 +119,7 @@ class PlanDecisions:
     ) -> PlanEnv:
         """The environment that ``loss`` learns in; ``options`` are those of ``PlanEnv``."""
         made = self.planner.menus
-        menus = Menus(made.level.tolist(), made.steepness, labels=made.labels)
+        menus = Menus(made.level.tolist(), made.steepness, labels=made.labels, most_nodes=made.most_nodes)
         parts = q_network(loss).observations()
         return PlanEnv(scenarios, batch_size, menus=menus, reward=reward, observations=parts, **options)
 
