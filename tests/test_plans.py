@@ -31,7 +31,7 @@ from nfv_torchrl.observations.menu_layout import ROW, ROW_SERVICE, SERVICE, STAT
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.planners.priced import fill_prices
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
-from nfv_torchrl.plans.planner import PER_STAY
+from nfv_torchrl.plans.planner import PER_STAY, Comparing, level_at
 from nfv_torchrl.rewards import admission_regret
 from nfv_torchrl.search.cheapest import plan_cheapest, plan_within
 from nfv_torchrl.search.walks import Prices
@@ -350,10 +350,10 @@ def test_levels_are_checked():
 # ----------------------------------------------------------------------------------------------------- policies
 
 
-def trained(network, scenario, scale=2.0, compare_at=0.0):
+def trained(network, scenario, scale=2.0, **settings):
     """An actor with weights that are not zero."""
     torch.manual_seed(0)
-    planner = MenuPlanner(compare_at=compare_at)
+    planner = MenuPlanner(**settings)
     sizes = planner.sizes(Simulator(scenario, 1))
     made = network(sizes)
     with torch.no_grad():
@@ -362,10 +362,24 @@ def trained(network, scenario, scale=2.0, compare_at=0.0):
     return planner.follow(greedy_actor(made, sizes.actions))
 
 
-@pytest.mark.parametrize(("form", "compare_at"), [("price", 0.0), ("free", 0.0), ("price", 16.0)])
-def test_the_compiled_policy_chooses_as_torch_does(form, compare_at):
-    scenario = worlds()[2 if compare_at else 1]
-    planner = trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8], form=form), scenario, compare_at=compare_at)
+RISING = {"compare_at": 1.0, "compare_full": 30.0, "between": 0.25, "refusing": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("form", "number", "seen", "settings"),
+    [
+        ("price", 1, False, {}),
+        ("free", 1, False, {}),
+        ("price", 2, False, {"compare_at": 16.0}),
+        ("price", 2, False, RISING),
+        ("free", 2, False, RISING),
+        ("price", 2, True, RISING),
+        ("price", 1, False, RISING),
+    ],
+)
+def test_the_compiled_policy_chooses_as_torch_does(form, number, seen, settings):
+    scenario = worlds()[number].replace(observe_lifetime=seen)
+    planner = trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8], form=form), scenario, **settings)
     assert planner._prices is not None
     compiled, slow = PlannerMethod(planner, name="compiled"), copy.copy(planner)
     slow._prices = None
@@ -424,6 +438,38 @@ def test_what_is_refused_does_not_depend_on_the_level_at_which_walks_are_compare
     one, other, same = np.array(answers).T
     np.testing.assert_array_equal(one == 0, other == 0)
     assert 0 < (one == 0).mean() < 1 and not same[one > 0].all()
+
+
+@pytest.mark.parametrize("used", [0.0, 0.5, 1.0])
+def test_the_level_at_which_walks_are_compared_rises_with_the_fourth_power_of_the_use(used):
+    rule = Comparing(empty=2.0, full=34.0, between=0.0, refusing=1.0)
+    assert level_at(used, rule) == {0.0: 2.0, 0.5: 4.0, 1.0: 34.0}[used]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_bid_prices_do_not_tell_walks_apart_where_none_of_them_counts_between(number):
+    """Without refusals a trained policy is an untrained one, with functions apart; else its bid prices count."""
+    scenario = worlds()[number]
+    rule = {"compare_at": 1.0, "compare_full": 30.0, "between": 0.0, "refusing": 0.0}
+    learned = trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8]), scenario, scale=8.0, **rule)
+    untrained = MenuPlanner(**rule)
+    sizes = untrained.sizes(Simulator(scenario, 1))
+    untrained.follow(greedy_actor(MenuNetwork(sizes), sizes.actions))
+    one, other = (run_method(scenario, PlannerMethod(policy, name="x"), [3])[0].cost for policy in (learned, untrained))
+    assert np.array_equal(one, other, equal_nan=True) is (not scenario.colocation)
+
+
+@pytest.mark.parametrize(("seen", "colocation"), [(False, False), (True, False), (False, True)])
+def test_a_share_of_the_bid_prices_refuses_where_lifetimes_are_hidden_and_functions_apart(seen, colocation):
+    scenario = worlds()[2].replace(observe_lifetime=seen, colocation=colocation)
+    refused = []
+    for share in (1.0, 0.0):
+        policy = trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8]), scenario, refusing=share, between=1.0)
+        record = run_method(scenario, PlannerMethod(policy, name="x"), [3])[0]
+        refused.append(int((record.reason == Reason.REJECTED_BY_POLICY).sum()))
+    # Those without a walk are refused whatever the share.
+    assert (refused[1] < refused[0]) is (not seen and not colocation)
+    assert refused[1] <= refused[0]
 
 
 def test_values_by_hand():

@@ -26,7 +26,7 @@ from nfv_torchrl.planners.menu import LEAST_COST, LEVELS, STEEPNESS, fill_menu, 
 from nfv_torchrl.plans.menus import Menus
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW
-from nfv_torchrl.settings.values import AboveOne, Count, NotNegative
+from nfv_torchrl.settings.values import AboveOne, Count, NotNegative, Share
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.state import World
@@ -34,9 +34,24 @@ from nfv_torchrl.simulator.state import World
 PER_STAY = 4.0
 """What a stay of the mean lifetime is charged, in bid prices, where lifetimes are seen, by a policy whose file does not
 say; trainings write what ``env/plans.yaml`` has, which was chosen on networks of its own (docs/results/plans.md)."""
+RISING = 4
+"""Power of the used share of the VMs with which a price level rises from an empty network to a full one."""
 COMPARE_AT = 0.0
 """The price level at which walks are compared where functions of a request may not share a node, by a policy whose file
 does not say, as above; 0: by true costs."""
+
+
+class Comparing(NamedTuple):
+    """How walks are compared where functions of a request may not share a node; see ``MenuPlanner``."""
+
+    empty: float  # price level where no VM is used
+    full: float  # where all are
+    between: float  # share of the learned bid price that counts between walks
+    refusing: float  # share of it that counts against accepting a request whose lifetime is hidden
+
+
+BY_COST = Comparing(empty=0.0, full=0.0, between=1.0, refusing=1.0)
+"""By the network's values alone."""
 
 
 class Prices(NamedTuple):
@@ -47,25 +62,40 @@ class Prices(NamedTuple):
     by_demand: bool  # whether the form is ``price``
     w_acc: float
     w_cost: float
-    compare_at: float  # p, see ``MenuPlanner``
+    comparing: Comparing
+
+
+def level_at(used: Any, rule: Comparing) -> Any:
+    """p of ``rule`` where the share ``used`` of the VMs is used."""
+    return rule.empty + (rule.full - rule.empty) * used**RISING
+
+
+_level_at = part(level_at)
 
 
 @part
-def _risen(b, k, menu, flat, level):
-    """By how much walk k is dearer at price level p than its true cost says, as ``ROW.regret`` counts.
-
-    0 where functions may share a node."""
-    if level == 0.0 or flat[b, STATE.colocation] > 0.0:
-        return 0.0
+def _risen(b, k, menu, level):
+    """By how much walk k is dearer at price level p than its true cost says, as ``ROW.regret`` counts."""
     return level * (menu.rise[b, k] - menu.rise[b, 0]) / max(menu.cost[b, 0], LEAST_COST)
 
 
 @part
-def _choose_row(b, menu, flat, shape, prices):
+def _rule_for(world, b, comparing):
+    """``comparing`` where it applies to environment b."""
+    if world.rules.colocation:
+        return BY_COST
+    if world.mean_lifetime[b] > 0.0:  # a price for the stay has a factor of its own, ``per_stay``
+        return Comparing(comparing.empty, comparing.full, comparing.between, BY_COST.refusing)
+    return comparing
+
+
+@part
+def _choose_row(world, b, menu, flat, shape, prices):
     """The walk of the highest value of environment b, or reject, the number after the last.
 
-    Whether the request is refused does not depend on ``compare_at``, only which walk it gets."""
-    net = prices.price
+    Whether the request is refused does not depend on the price level, only which walk it gets."""
+    net, rule = prices.price, _rule_for(world, b, prices.comparing)
+    level = _level_at(np.float64(flat[b, STATE.vm_used]), rule)
     best, highest, most = np.int64(shape.rows), -np.inf, -np.inf
     for i in range(FACTORS, shape.state):
         prices.x[i - FACTORS] = flat[b, i]
@@ -78,19 +108,21 @@ def _choose_row(b, menu, flat, shape, prices):
         price = np.float64(score_row(net.weights, net.sizes, net.activation, prices.x, net.now, net.after))
         if prices.by_demand:
             price *= np.float64(flat[b, STATE.demand]) * np.float64(flat[b, STATE.stay])
-        regret = np.float64(flat[b, first + ROW.regret])
-        most = max(most, prices.w_acc - prices.w_cost * regret - price)
-        value = prices.w_acc - prices.w_cost * (regret + _risen(b, k, menu, flat, prices.compare_at)) - price
+        pays = prices.w_acc - prices.w_cost * np.float64(flat[b, first + ROW.regret])
+        most = max(most, pays - rule.refusing * price)
+        value = pays - rule.between * price
+        if level > 0.0:
+            value -= prices.w_cost * _risen(b, k, menu, level)
         if value > highest:
             best, highest = np.int64(k), value
     return best if most >= 0.0 else np.int64(shape.rows)
 
 
 @kernel
-def choose_rows(rows, menu, flat, shape, prices, choices):
+def choose_rows(world, rows, menu, flat, shape, prices, choices):
     """Fill ``choices`` int64 [B] of the environments ``rows`` with the walk of the highest value, or with reject."""
     for r in range(rows.size):
-        choices[rows[r]] = _choose_row(rows[r], menu, flat, shape, prices)
+        choices[rows[r]] = _choose_row(world, rows[r], menu, flat, shape, prices)
 
 
 @kernel
@@ -106,7 +138,7 @@ def play_priced_menus(world, b, own, view, menu, flat, shape, prices):
         if fill_menu(world, b, own, menu) == OVERFLOW:
             return OVERFLOW
         describe_menu(world, b, view, menu, flat[b])
-        k = _choose_row(b, menu, flat, shape, prices)
+        k = _choose_row(world, b, menu, flat, shape, prices)
         play_plan(world, b, menu.steps[b, k] if k <= last else np.int64(0), menu.action[b, min(k, last)])
     return FINISHED
 
@@ -122,6 +154,12 @@ class MenuPlanner(Planner):
         compare_at: p, in mean unit costs of the network's VMs: a policy whose network is a ``MenuNetwork`` compares
             walks with each other by their costs at this price level where functions of a request may not share a node
             (colocation off). Whether it refuses is decided by true costs all the same. 0: true costs for both.
+        compare_full: p where all VMs are used. From ``compare_at``, where none is, it rises with the fourth power of
+            the used share. None: ``compare_at`` everywhere.
+        between: share of the learned bid prices that counts between walks, with colocation off. 0: the price level
+            alone tells which walk a request gets.
+        refusing: share of them that counts against accepting a request, with colocation off and lifetimes hidden. 1: as
+            they were learned.
         most_nodes: as in ``Menus``. For policies that were trained on smaller networks than they are used on.
 
     Raises:
@@ -136,9 +174,13 @@ class MenuPlanner(Planner):
         labels: Count | None = None,
         compare_at: NotNegative = COMPARE_AT,
         most_nodes: Count | None = None,
+        compare_full: NotNegative | None = None,
+        between: Share = 1.0,
+        refusing: NotNegative = 1.0,
     ) -> None:
         self.menus = Menus(levels, steepness, per_stay, labels, most_nodes)
-        self._compare_at = float(compare_at)
+        full = compare_at if compare_full is None else compare_full
+        self._comparing = Comparing(float(compare_at), float(full), float(between), float(refusing))
         self._actor: Any = None
         self._prices: Prices | None = None
 
@@ -153,7 +195,7 @@ class MenuPlanner(Planner):
 
     def follow(self, actor: TensorDictModuleBase) -> MenuPlanner:
         """Decide by ``actor`` from now on; by the weights that it has now, where its network can be compiled."""
-        self._actor, self._prices = actor, compiled_prices(actor, self._compare_at)
+        self._actor, self._prices = actor, compiled_prices(actor, self._comparing)
         return self
 
     def prepare(self, world: World) -> None:
@@ -171,9 +213,9 @@ class MenuPlanner(Planner):
         if self._actor is None:
             choices[rows] = menu.mask[rows].argmax(-1)
         elif self._prices is not None:
-            choose_rows(rows, menu, self.menus.flat, self.menus.layout, self._prices, choices)
+            choose_rows(world, rows, menu, self.menus.flat, self.menus.layout, self._prices, choices)
         elif rows.size:
-            choices[rows] = self._ask(rows)
+            choices[rows] = self._ask(world, rows)
         walk = np.minimum(choices[rows], len(self.menus.level) - 1)
         plans[rows] = menu.action[rows, walk]
         lengths[rows] = np.where(choices[rows] == len(self.menus.level), 0, menu.steps[rows, walk])
@@ -198,30 +240,38 @@ class MenuPlanner(Planner):
             else:
                 menus.own = grow_menu_scratch(tables, menus.own)
 
-    def _ask(self, rows: np.ndarray) -> np.ndarray:
+    def _ask(self, world: World, rows: np.ndarray) -> np.ndarray:
         """What the actor chooses for the environments ``rows``."""
         flat, mask = torch.from_numpy(self.menus.flat[rows]), torch.from_numpy(self.menus.menu.mask[rows])
         scores = scorer(self._actor)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             if scores is not None and scores.in_keys == ["observation"]:
                 values = scores.module(flat).masked_fill(~mask, -torch.inf)
-                return self._choose(rows, values, scores.module).numpy()
+                return self._choose(world, rows, values, scores.module).numpy()
             seen = TensorDict({"observation": flat, "action_mask": mask}, batch_size=[rows.size])
             return self._actor(seen)["action"].numpy()
 
-    def _choose(self, rows: np.ndarray, values: torch.Tensor, network: nn.Module) -> torch.Tensor:
+    def _choose(self, world: World, rows: np.ndarray, values: torch.Tensor, network: nn.Module) -> torch.Tensor:
         """As ``_choose_row``, from values [R, K + 1] of all walks and reject."""
-        best, reject = values.argmax(-1), values.shape[-1] - 1
-        if self._compare_at == 0.0 or not isinstance(network, MenuNetwork):
+        best, reject, rule = values.argmax(-1), values.shape[-1] - 1, self._comparing
+        if world.rules.colocation or rule == BY_COST or not isinstance(network, MenuNetwork):
             return best
-        menu, apart = self.menus.menu, self.menus.flat[rows, STATE.colocation] == 0.0
+        menu, flat = self.menus.menu, self.menus.flat[rows].astype(np.float64)
+        offered = torch.from_numpy(menu.mask[rows, :-1])
+        regret = flat[:, self.menus.layout.state :].reshape(len(rows), reject, -1)[..., ROW.regret]
+        pays = network.w_acc - network.w_cost * torch.from_numpy(regret)
+        price = pays - (values[:, :-1] - values[:, -1:])
+        refusing = np.where(world.mean_lifetime[rows] > 0.0, BY_COST.refusing, rule.refusing)
+        most = (pays - torch.from_numpy(refusing)[:, None] * price).masked_fill(~offered, -torch.inf).amax(-1)
         rise = np.where(menu.mask[rows, :-1], menu.rise[rows], 0.0)
-        risen = self._compare_at * (rise - rise[:, :1]) / np.maximum(menu.cost[rows, :1], LEAST_COST)
-        dearer = torch.from_numpy(np.where(apart[:, None], network.w_cost * risen, 0.0))
-        return torch.where(best == reject, best, (values[:, :-1] - dearer).argmax(-1))
+        risen = (rise - rise[:, :1]) / np.maximum(menu.cost[rows, :1], LEAST_COST)
+        risen *= level_at(flat[:, STATE.vm_used], rule)[:, None]
+        value = pays - network.w_cost * torch.from_numpy(risen) - rule.between * price
+        walk = value.masked_fill(~offered, -torch.inf).argmax(-1)
+        return torch.where(most >= 0.0, walk, reject)
 
 
-def compiled_prices(actor: Any, compare_at: float = 0.0) -> Prices | None:
+def compiled_prices(actor: Any, comparing: Comparing = BY_COST) -> Prices | None:
     """The network of ``actor`` as compiled code takes it, None where it is of a kind that torch has to run."""
     scores = scorer(actor) if isinstance(actor, QValueActor) else None
     network: nn.Module | None = None if scores is None else scores.module
@@ -233,4 +283,4 @@ def compiled_prices(actor: Any, compare_at: float = 0.0) -> Prices | None:
         return None
     shape: MenuShape = network.shape
     x = np.zeros(shape.state - FACTORS + shape.row, np.float32)
-    return Prices(price, x, network.form == "price", network.w_acc, network.w_cost, compare_at)
+    return Prices(price, x, network.form == "price", network.w_acc, network.w_cost, comparing)
