@@ -463,11 +463,14 @@ def test_bid_prices_do_not_tell_walks_apart_where_none_of_them_counts_between(nu
 def test_a_share_of_the_bid_prices_refuses_where_lifetimes_are_hidden_and_functions_apart(seen, colocation):
     scenario = worlds()[2].replace(observe_lifetime=seen, colocation=colocation)
     refused = []
-    for share in (1.0, 0.0):
-        policy = trained(lambda sizes: MenuNetwork(sizes, hidden=[8, 8]), scenario, refusing=share, between=1.0)
+    for share in (1.0, 0.1):
+        policy = MenuPlanner(refusing=share)
+        sizes = policy.sizes(Simulator(scenario, 1))
+        network = MenuNetwork(sizes)
+        network.price[-1].bias.data.fill_(2.0)  # twice what accepting a request of mean demand pays
+        policy.follow(greedy_actor(network, sizes.actions))
         record = run_method(scenario, PlannerMethod(policy, name="x"), [3])[0]
         refused.append(int((record.reason == Reason.REJECTED_BY_POLICY).sum()))
-    # Those without a walk are refused whatever the share.
     assert (refused[1] < refused[0]) is (not seen and not colocation)
     assert refused[1] <= refused[0]
 
