@@ -64,6 +64,7 @@ class Evaluator:
     def evaluate(self, loss: Any, progress: Progress) -> None:
         """Act greedily on held-out workloads, log what came of it, and keep the policy if it is the best so far.
 
+        Untrained weights are not kept; those that a run begins with, from ``init_from``, are.
         No random number of the training is drawn, so that how often a run is evaluated changes nothing of what it
         learns.
 
@@ -92,7 +93,9 @@ class Evaluator:
         logger.text("2 how it stands", standing(scores, values, references, frames), frames)
         if config["logger"]["figures"]:
             draw_pictures(records[0], references, logger, frames)
-        if frames:
+        if frames or config.get(
+            "init_from"
+        ):  # weights of a file may be better than all that follows; untrained ones are none
             self._keep_best(loss, progress, scores, held_out)
         logger.clock.start()
 

@@ -61,6 +61,21 @@ def test_a_run_begins_with_the_weights_of_a_policy_file(trained, tmp_path):
             assert torch.equal(copy, given[f"value_network_params.{name}"])
 
 
+def test_weights_that_a_run_begins_with_stay_the_best_where_training_makes_them_no_better(trained, tmp_path):
+    start = trained / "centred" / "best.pt"
+    folder = tmp_path / "run"
+    train(
+        folder, "loss=centred", f"init_from={start}", "collector.total_frames=64", "learner.lr=1e-12"
+    )  # and no other decision
+    progress = load_file(CheckpointFolder(folder).files()[-1])["progress"]
+    best, given = (load_file(path) for path in (folder / "best.pt", start))
+    assert progress["frames"] >= 64 and progress["best_frames"] == 0
+    assert progress["best_aar"] == best["scores"]["aar"]
+    for name, value in best["weights"].items():
+        if name.startswith("value_network_params"):
+            assert torch.equal(value, given["weights"][name]), name
+
+
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
