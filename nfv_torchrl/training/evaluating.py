@@ -93,9 +93,8 @@ class Evaluator:
         logger.text("2 how it stands", standing(scores, values, references, frames), frames)
         if config["logger"]["figures"]:
             draw_pictures(records[0], references, logger, frames)
-        if frames or config.get(
-            "init_from"
-        ):  # weights of a file may be better than all that follows; untrained ones are none
+        # Weights from a file may be better than all that follows; untrained ones are nothing to keep.
+        if frames or config.get("init_from"):
             self._keep_best(loss, progress, scores, held_out)
         logger.clock.start()
 

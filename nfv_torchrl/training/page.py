@@ -72,7 +72,7 @@ def standing(
         references: what it is compared with, if it is.
         frames: learned from so far.
     """
-    start = "Untrained, the agent" if frames == 0 else f"After {frames:,} frames the agent"
+    start = "Before training, the agent" if frames == 0 else f"After {frames:,} frames the agent"
     said = f"{start} accepts {scores['aar']:.1%} of the requests"
     if references is not None:
         below = [name for name, its in references.metrics.items() if scores["aar"] > its["aar"] + 5e-4]

@@ -88,7 +88,7 @@ def test_its_board_shows_rules_bound_walks_and_words(tmp_path):
         for tag in ("1 what you see", "2 how it stands")
     )
     assert "An evolution of `PricePolicy`" in page and "`greedy`" in page
-    assert standing.startswith("Untrained, the agent accepts")
+    assert standing.startswith("Before training, the agent accepts")
 
 
 def test_the_preset_of_a_refusal_alone(tmp_path):

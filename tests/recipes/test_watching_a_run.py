@@ -121,7 +121,7 @@ def test_rejections_are_stacked(events):
 
 def test_text_pictures_histograms_and_hyperparameters(run, events):
     said = [event.tensor_proto.string_val[0].decode() for event in events.Tensors("2 how it stands/text_summary")]
-    assert len(said) == EVALUATIONS and said[0].startswith("Untrained, the agent accepts")
+    assert len(said) == EVALUATIONS and said[0].startswith("Before training, the agent accepts")
     (page,) = events.Tensors("1 what you see/text_summary")
     for words in ("rho", "`myopic_optimal`", "Custom Scalars"):
         assert words in page.tensor_proto.string_val[0].decode()
