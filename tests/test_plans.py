@@ -2,6 +2,7 @@
 
 import copy
 import random
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,7 +24,7 @@ from nfv_torchrl.evaluation.runner import run_method
 from nfv_torchrl.gym import NFVGymEnv
 from nfv_torchrl.gym.plans import PlanGymEnv, PlanVectorEnv
 from nfv_torchrl.losses import greedy_actor
-from nfv_torchrl.methods import PlannerMethod
+from nfv_torchrl.methods import PlannerMethod, load_policy
 from nfv_torchrl.methods.base import WholePlay
 from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import MenuNetwork, MLPNetwork, Sizes
@@ -41,6 +42,8 @@ from nfv_torchrl.simulator.steps import find_link
 from nfv_torchrl.testing import check_planner
 from nfv_torchrl.testing.worlds import full_scenario
 from nfv_torchrl.training.decisions import PlanDecisions
+
+POLICY = Path(__file__).parents[1] / "docs" / "results" / "policies" / "plans_0.pt"
 
 pytestmark = pytest.mark.filterwarnings("ignore:The env passed to Collector:FutureWarning")
 
@@ -362,7 +365,7 @@ def trained(network, scenario, scale=2.0, **settings):
     return planner.follow(greedy_actor(made, sizes.actions))
 
 
-RISING = {"compare_at": 1.0, "compare_full": 30.0, "between": 0.25, "refusing": 0.5}
+BY_USE = {"compare_at": 1.0, "compare_full": 30.0, "between": 0.25, "refusing": 0.5}
 
 
 @pytest.mark.parametrize(
@@ -371,10 +374,10 @@ RISING = {"compare_at": 1.0, "compare_full": 30.0, "between": 0.25, "refusing": 
         ("price", 1, False, {}),
         ("free", 1, False, {}),
         ("price", 2, False, {"compare_at": 16.0}),
-        ("price", 2, False, RISING),
-        ("free", 2, False, RISING),
-        ("price", 2, True, RISING),
-        ("price", 1, False, RISING),
+        ("price", 2, False, BY_USE),
+        ("free", 2, False, BY_USE),
+        ("price", 2, True, BY_USE),
+        ("price", 1, False, BY_USE),
     ],
 )
 def test_the_compiled_policy_chooses_as_torch_does(form, number, seen, settings):
@@ -521,8 +524,30 @@ def test_a_network_with_more_nodes_than_training_had_is_seen_as_having_so_many(m
     learning = PlanDecisions(planner).environment(scenario, 1, loss, reward=admission_regret)
     for env in (PlanEnv(scenario, 1, menus=planner.menus), learning):
         assert env.reset()["observation"][0, STATE.nodes] == pytest.approx(np.log(seen) / 5)
-    with pytest.raises(ScenarioError, match="most_nodes is 0; give at least 1"):
-        MenuPlanner(most_nodes=0)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"most_nodes": 0},
+        {"most_nodes": 2.5},
+        {"per_stay": -1.0},
+        {"compare_at": -1.0},
+        {"compare_full": -1.0},
+        {"compare_full": "x"},
+        {"between": 1.5},
+        {"between": True},
+        {"refusing": -0.1},
+        {"refusing": float("nan")},
+    ],
+)
+def test_numbers_out_of_their_range_are_refused_by_name(setting):
+    """In code as in recipes: a policy's file may give them, too."""
+    [name] = setting
+    with pytest.raises(ScenarioError, match=name):
+        MenuPlanner(**setting)
+    with pytest.raises(CheckpointError, match=name):
+        load_policy(POLICY, full_scenario(), planner=setting)
 
 
 @pytest.mark.parametrize(

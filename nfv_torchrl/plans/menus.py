@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nfv_torchrl.errors import ScenarioError
 from nfv_torchrl.observations.menu import MenuView, describe_menus, describes_asked, make_menu_view
 from nfv_torchrl.observations.menu_layout import MenuShape
 from nfv_torchrl.planners.base import check_labels
@@ -23,7 +22,7 @@ from nfv_torchrl.planners.menu import (
 )
 from nfv_torchrl.search.cheapest import make_scratch
 from nfv_torchrl.search.labels import NO_LIMIT
-from nfv_torchrl.settings.values import AboveOne, Count, NotNegative
+from nfv_torchrl.settings.values import AboveOne, Count, NotNegative, parse
 from nfv_torchrl.simulator.state import World
 from nfv_torchrl.simulator.tables import Tables
 
@@ -49,7 +48,7 @@ class Menus:
             None.
 
     Raises:
-        ScenarioError: levels that do not rise from 0, or labels or most_nodes < 1.
+        ScenarioError: levels that do not rise from 0, labels or most_nodes < 1, or per_stay < 0.
     """
 
     menu: Menu
@@ -68,9 +67,8 @@ class Menus:
         most_nodes: Count | None = None,
     ) -> None:
         self.level, self.steepness, self.labels = check_levels(levels), float(steepness), check_labels(labels)
-        if most_nodes is not None and most_nodes < 1:
-            raise ScenarioError(f"most_nodes is {most_nodes}; give at least 1, or None to see networks as they are")
-        self._per_stay, self.most_nodes = per_stay, most_nodes
+        self._per_stay = parse(per_stay, NotNegative | None, "per_stay")
+        self.most_nodes = parse(most_nodes, Count | None, "most_nodes")
         self._tables: Tables | None = None
 
     def shape(self, world: World) -> MenuShape:

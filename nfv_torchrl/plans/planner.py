@@ -26,7 +26,7 @@ from nfv_torchrl.planners.menu import LEAST_COST, LEVELS, STEEPNESS, fill_menu, 
 from nfv_torchrl.plans.menus import Menus
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW
-from nfv_torchrl.settings.values import AboveOne, Count, NotNegative, Share
+from nfv_torchrl.settings.values import AboveOne, Count, NotNegative, Share, parse
 from nfv_torchrl.simulator import Simulator
 from nfv_torchrl.simulator.compiled import kernel, part
 from nfv_torchrl.simulator.state import World
@@ -163,7 +163,7 @@ class MenuPlanner(Planner):
         most_nodes: as in ``Menus``. For policies that were trained on smaller networks than they are used on.
 
     Raises:
-        ScenarioError: levels that do not rise from 0, or labels or most_nodes < 1.
+        ScenarioError: levels that do not rise from 0, labels or most_nodes < 1, or another number out of its range.
     """
 
     def __init__(
@@ -179,8 +179,12 @@ class MenuPlanner(Planner):
         refusing: NotNegative = 1.0,
     ) -> None:
         self.menus = Menus(levels, steepness, per_stay, labels, most_nodes)
-        full = compare_at if compare_full is None else compare_full
-        self._comparing = Comparing(float(compare_at), float(full), float(between), float(refusing))
+        self._comparing = Comparing(
+            empty=parse(compare_at, NotNegative, "compare_at"),
+            full=parse(compare_at if compare_full is None else compare_full, NotNegative, "compare_full"),
+            between=parse(between, Share, "between"),
+            refusing=parse(refusing, NotNegative, "refusing"),
+        )
         self._actor: Any = None
         self._prices: Prices | None = None
 

@@ -64,9 +64,8 @@ def test_a_run_begins_with_the_weights_of_a_policy_file(trained, tmp_path):
 def test_weights_that_a_run_begins_with_stay_the_best_where_training_makes_them_no_better(trained, tmp_path):
     start = trained / "centred" / "best.pt"
     folder = tmp_path / "run"
-    train(
-        folder, "loss=centred", f"init_from={start}", "collector.total_frames=64", "learner.lr=1e-12"
-    )  # and no other decision
+    still = "learner.lr=1e-12"  # it decides as it did
+    train(folder, "loss=centred", f"init_from={start}", "collector.total_frames=64", still)
     progress = load_file(CheckpointFolder(folder).files()[-1])["progress"]
     best, given = (load_file(path) for path in (folder / "best.pt", start))
     assert progress["frames"] >= 64 and progress["best_frames"] == 0
