@@ -28,11 +28,12 @@ from nfv_torchrl.methods import PlannerMethod, load_policy
 from nfv_torchrl.methods.base import WholePlay
 from nfv_torchrl.methods.planned import planner_method
 from nfv_torchrl.networks import MenuNetwork, MLPNetwork, Sizes
-from nfv_torchrl.observations.menu_layout import ROW, ROW_SERVICE, SERVICE, STATE, MenuShape
+from nfv_torchrl.observations.menu_layout import ROW, ROW_SERVICE, SCALE, SERVICE, STATE, MenuShape
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.planners.priced import fill_prices
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
-from nfv_torchrl.plans.planner import PER_STAY, Comparing, level_at
+from nfv_torchrl.plans.acting import Acting, closest_of_others, level_at, refusing_at
+from nfv_torchrl.plans.planner import PER_STAY
 from nfv_torchrl.rewards import admission_regret
 from nfv_torchrl.search.cheapest import plan_cheapest, plan_within
 from nfv_torchrl.search.walks import Prices
@@ -366,6 +367,7 @@ def trained(network, scenario, scale=2.0, **settings):
 
 
 BY_USE = {"compare_at": 1.0, "compare_full": 30.0, "between": 0.25, "refusing": 0.5}
+ALL = BY_USE | {"refusing_full": 0.9, "reserve": 4.0}
 
 
 @pytest.mark.parametrize(
@@ -376,8 +378,9 @@ BY_USE = {"compare_at": 1.0, "compare_full": 30.0, "between": 0.25, "refusing": 
         ("price", 2, False, {"compare_at": 16.0}),
         ("price", 2, False, BY_USE),
         ("free", 2, False, BY_USE),
-        ("price", 2, True, BY_USE),
-        ("price", 1, False, BY_USE),
+        ("price", 2, True, ALL),
+        ("free", 2, False, ALL),
+        ("price", 1, False, ALL),
     ],
 )
 def test_the_compiled_policy_chooses_as_torch_does(form, number, seen, settings):
@@ -443,10 +446,62 @@ def test_what_is_refused_does_not_depend_on_the_level_at_which_walks_are_compare
     assert 0 < (one == 0).mean() < 1 and not same[one > 0].all()
 
 
+@kernel
+def ask_rule(used, seen, own, acting, answers):
+    """Level, share of the bid price in refusing, and how close another service's requests are to finding no room."""
+    services = (seen.size - len(STATE)) // len(SERVICE)
+    answers[2] = closest_of_others(seen, services, own)
+    answers[0], answers[1] = level_at(used, acting), refusing_at(answers[2], acting)
+
+
+def asked_rule(acting, used=0.0, room=(), own=0):
+    seen, answers = np.zeros(len(STATE) + len(room) * len(SERVICE), np.float32), np.zeros(3)
+    seen[len(STATE) + SERVICE.vm_room :: len(SERVICE)] = room
+    ask_rule(used, seen, own, acting, answers)
+    return answers.tolist()
+
+
 @pytest.mark.parametrize("used", [0.0, 0.5, 1.0])
 def test_the_level_at_which_walks_are_compared_rises_with_the_fourth_power_of_the_use(used):
-    rule = Comparing(empty=2.0, full=34.0, between=0.0, refusing=1.0)
-    assert level_at(used, rule) == {0.0: 2.0, 0.5: 4.0, 1.0: 34.0}[used]
+    acting = Acting(empty=2.0, full=34.0, between=0.0, reserve=0.0, refusing=1.0, refusing_full=1.0)
+    assert asked_rule(acting, used)[0] == {0.0: 2.0, 0.5: 4.0, 1.0: 34.0}[used]
+
+
+def test_the_share_of_the_bid_price_that_refuses_rises_as_requests_of_other_services_find_no_room():
+    """The rooms of three services: none, 4 chains (halfway to none), and more than is told apart."""
+    acting = Acting(empty=0.0, full=0.0, between=0.0, reserve=0.0, refusing=0.2, refusing_full=1.0)
+    rooms = (0.0, np.log(1 + 4.0) / SCALE, 1.0)
+    assert asked_rule(acting, room=rooms, own=0)[1:] == pytest.approx([0.4, 0.5])
+    for own in (1, 2):
+        assert asked_rule(acting, room=rooms, own=own)[1:] == pytest.approx([1.0, 1.0])
+    assert asked_rule(acting, room=rooms[:1])[1:] == pytest.approx([0.2, 0.0])  # there is no other
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_large_reserve_takes_the_walk_that_leaves_the_latest_requests_most(compiled):
+    """Of the walks offered: the one whose largest steps towards no room, of each service, sum to the least."""
+    scenario = worlds()[1].replace(colocation=False)
+    planner, by_cost = MenuPlanner(reserve=1e6), 0
+    simulator = Simulator(scenario, 1)
+    sizes = planner.sizes(simulator)
+    planner.follow(greedy_actor(MenuNetwork(sizes), sizes.actions))
+    if not compiled:
+        planner._prices = None
+    simulator.start(0, scenario.workload(0))
+    plan = np.zeros((1, simulator.world.rules.max_steps), np.int64)
+    length, row = np.zeros(1, np.int64), np.zeros(1, np.int64)
+    while not simulator.world.env["done"][0]:
+        planner.plan_rows(simulator.world, row, plan, length)
+        menu, layout = planner.menus.menu, planner.menus.layout
+        walks = planner.menus.flat[0, layout.state :].reshape(layout.rows, -1)
+        steps = walks[:, len(ROW) :].reshape(layout.rows, sizes.services, -1)[..., ROW_SERVICE.closer_most].sum(-1)
+        offered = np.flatnonzero(menu.mask[0, :-1])
+        if offered.size:
+            taken = [k for k in offered if np.array_equal(menu.action[0, k], plan[0])]
+            assert steps[taken[0]] == pytest.approx(steps[offered].min(), abs=1e-6)
+            by_cost += taken[0] == 0
+        simulator.answer(plan, length)
+    assert 0 < by_cost < simulator.world.env["cursor"][0]
 
 
 @pytest.mark.parametrize("number", [0, 1])
@@ -539,6 +594,9 @@ def test_a_network_with_more_nodes_than_training_had_is_seen_as_having_so_many(m
         {"between": True},
         {"refusing": -0.1},
         {"refusing": float("nan")},
+        {"refusing_full": -0.1},
+        {"reserve": -1.0},
+        {"reserve": float("inf")},
     ],
 )
 def test_numbers_out_of_their_range_are_refused_by_name(setting):

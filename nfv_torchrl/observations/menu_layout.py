@@ -108,6 +108,12 @@ def room_of(free, reference):
 
 
 @part
+def what_fits(room):
+    """For how many requests (or rates) of the size of its reference ``room_of`` gives ``room``."""
+    return np.exp(room * SCALE) - 1.0
+
+
+@part
 def least_room(free, references):
     """The room of the kind with the least."""
     room = room_of(free[0], references[0])

@@ -22,7 +22,8 @@ from nfv_torchrl.observations.asked import ASKED
 from nfv_torchrl.observations.menu import describe_menu, describes_asked
 from nfv_torchrl.observations.menu_layout import FACTORS, ROW, STATE, MenuShape
 from nfv_torchrl.planners.base import Planner
-from nfv_torchrl.planners.menu import LEAST_COST, LEVELS, STEEPNESS, fill_menu, grow_menu_scratch
+from nfv_torchrl.planners.menu import LEVELS, STEEPNESS, fill_menu, grow_menu_scratch
+from nfv_torchrl.plans.acting import BY_COST, Acting, counts_against, fill_rules, rule_for
 from nfv_torchrl.plans.menus import Menus
 from nfv_torchrl.search.playing import FINISHED, NO_ROOM, has_room, play_plan
 from nfv_torchrl.search.walks import OVERFLOW
@@ -34,24 +35,9 @@ from nfv_torchrl.simulator.state import World
 PER_STAY = 4.0
 """What a stay of the mean lifetime is charged, in bid prices, where lifetimes are seen, by a policy whose file does not
 say; trainings write what ``env/plans.yaml`` has, which was chosen on networks of its own (docs/results/plans.md)."""
-RISING = 4
-"""Power of the used share of the VMs with which a price level rises from an empty network to a full one."""
 COMPARE_AT = 0.0
 """The price level at which walks are compared where functions of a request may not share a node, by a policy whose file
 does not say, as above; 0: by true costs."""
-
-
-class Comparing(NamedTuple):
-    """How walks are compared where functions of a request may not share a node; see ``MenuPlanner``."""
-
-    empty: float  # price level where no VM is used
-    full: float  # where all are
-    between: float  # share of the learned bid price that counts between walks
-    refusing: float  # share of it that counts against accepting a request whose lifetime is hidden
-
-
-BY_COST = Comparing(empty=0.0, full=0.0, between=1.0, refusing=1.0)
-"""By the network's values alone."""
 
 
 class Prices(NamedTuple):
@@ -62,40 +48,15 @@ class Prices(NamedTuple):
     by_demand: bool  # whether the form is ``price``
     w_acc: float
     w_cost: float
-    comparing: Comparing
-
-
-def level_at(used: Any, rule: Comparing) -> Any:
-    """p of ``rule`` where the share ``used`` of the VMs is used."""
-    return rule.empty + (rule.full - rule.empty) * used**RISING
-
-
-_level_at = part(level_at)
-
-
-@part
-def _risen(b, k, menu, level):
-    """By how much walk k is dearer at price level p than its true cost says, as ``ROW.regret`` counts."""
-    return level * (menu.rise[b, k] - menu.rise[b, 0]) / max(menu.cost[b, 0], LEAST_COST)
-
-
-@part
-def _rule_for(world, b, comparing):
-    """``comparing`` where it applies to environment b."""
-    if world.rules.colocation:
-        return BY_COST
-    if world.mean_lifetime[b] > 0.0:  # a price for the stay has a factor of its own, ``per_stay``
-        return Comparing(comparing.empty, comparing.full, comparing.between, BY_COST.refusing)
-    return comparing
+    acting: Acting
 
 
 @part
 def _choose_row(world, b, menu, flat, shape, prices):
     """The walk of the highest value of environment b, or reject, the number after the last.
 
-    Whether the request is refused does not depend on the price level, only which walk it gets."""
-    net, rule = prices.price, _rule_for(world, b, prices.comparing)
-    level = _level_at(np.float64(flat[b, STATE.vm_used]), rule)
+    What counts against walks tells which one a request gets, and not whether it is refused."""
+    net, rule = prices.price, rule_for(world, b, flat[b], prices.acting)
     best, highest, most = np.int64(shape.rows), -np.inf, -np.inf
     for i in range(FACTORS, shape.state):
         prices.x[i - FACTORS] = flat[b, i]
@@ -110,9 +71,8 @@ def _choose_row(world, b, menu, flat, shape, prices):
             price *= np.float64(flat[b, STATE.demand]) * np.float64(flat[b, STATE.stay])
         pays = prices.w_acc - prices.w_cost * np.float64(flat[b, first + ROW.regret])
         most = max(most, pays - rule.refusing * price)
-        value = pays - rule.between * price
-        if level > 0.0:
-            value -= prices.w_cost * _risen(b, k, menu, level)
+        row = flat[b, first : first + shape.row]
+        value = pays - rule.between * price - counts_against(world, b, k, menu, row, rule, prices.w_cost)
         if value > highest:
             best, highest = np.int64(k), value
     return best if most >= 0.0 else np.int64(shape.rows)
@@ -160,6 +120,12 @@ class MenuPlanner(Planner):
             alone tells which walk a request gets.
         refusing: share of them that counts against accepting a request, with colocation off and lifetimes hidden. 1: as
             they were learned.
+        refusing_full: the same share where one of the latest requests of another service finds no room. From
+            ``refusing``, where all find plenty, it rises with the square of how close such a request is to finding
+            none (1 / (1 + n / 4), where n chains of the mean load fit). None: ``refusing`` everywhere.
+        reserve: what counts between walks, with colocation off, against one that leaves one of the latest requests no
+            room, in accepted requests; for each service, and in proportion to how much closer it brings the one that
+            it brings closest. 0: nothing.
         most_nodes: as in ``Menus``. For policies that were trained on smaller networks than they are used on.
 
     Raises:
@@ -177,13 +143,17 @@ class MenuPlanner(Planner):
         compare_full: NotNegative | None = None,
         between: Share = 1.0,
         refusing: NotNegative = 1.0,
+        refusing_full: NotNegative | None = None,
+        reserve: NotNegative = 0.0,
     ) -> None:
         self.menus = Menus(levels, steepness, per_stay, labels, most_nodes)
-        self._comparing = Comparing(
+        self._acting = Acting(
             empty=parse(compare_at, NotNegative, "compare_at"),
             full=parse(compare_at if compare_full is None else compare_full, NotNegative, "compare_full"),
             between=parse(between, Share, "between"),
+            reserve=parse(reserve, NotNegative, "reserve"),
             refusing=parse(refusing, NotNegative, "refusing"),
+            refusing_full=parse(refusing if refusing_full is None else refusing_full, NotNegative, "refusing_full"),
         )
         self._actor: Any = None
         self._prices: Prices | None = None
@@ -199,7 +169,7 @@ class MenuPlanner(Planner):
 
     def follow(self, actor: TensorDictModuleBase) -> MenuPlanner:
         """Decide by ``actor`` from now on; by the weights that it has now, where its network can be compiled."""
-        self._actor, self._prices = actor, compiled_prices(actor, self._comparing)
+        self._actor, self._prices = actor, compiled_prices(actor, self._acting)
         return self
 
     def prepare(self, world: World) -> None:
@@ -257,25 +227,23 @@ class MenuPlanner(Planner):
 
     def _choose(self, world: World, rows: np.ndarray, values: torch.Tensor, network: nn.Module) -> torch.Tensor:
         """As ``_choose_row``, from values [R, K + 1] of all walks and reject."""
-        best, reject, rule = values.argmax(-1), values.shape[-1] - 1, self._comparing
-        if world.rules.colocation or rule == BY_COST or not isinstance(network, MenuNetwork):
+        best, reject = values.argmax(-1), values.shape[-1] - 1
+        if world.rules.colocation or self._acting == BY_COST or not isinstance(network, MenuNetwork):
             return best
-        menu, flat = self.menus.menu, self.menus.flat[rows].astype(np.float64)
-        offered = torch.from_numpy(menu.mask[rows, :-1])
-        regret = flat[:, self.menus.layout.state :].reshape(len(rows), reject, -1)[..., ROW.regret]
-        pays = network.w_acc - network.w_cost * torch.from_numpy(regret)
+        menus, layout = self.menus, self.menus.layout
+        offered = torch.from_numpy(menus.menu.mask[rows, :-1])
+        walks = menus.flat[rows, layout.state :].astype(np.float64).reshape(len(rows), reject, -1)
+        refusing, against = np.zeros(len(rows)), np.zeros((len(rows), reject))
+        fill_rules(world, rows, menus.menu, menus.flat, layout, self._acting, network.w_cost, refusing, against)
+        pays = network.w_acc - network.w_cost * torch.from_numpy(walks[..., ROW.regret])
         price = pays - (values[:, :-1] - values[:, -1:])
-        refusing = np.where(world.mean_lifetime[rows] > 0.0, BY_COST.refusing, rule.refusing)
         most = (pays - torch.from_numpy(refusing)[:, None] * price).masked_fill(~offered, -torch.inf).amax(-1)
-        rise = np.where(menu.mask[rows, :-1], menu.rise[rows], 0.0)
-        risen = (rise - rise[:, :1]) / np.maximum(menu.cost[rows, :1], LEAST_COST)
-        risen *= level_at(flat[:, STATE.vm_used], rule)[:, None]
-        value = pays - network.w_cost * torch.from_numpy(risen) - rule.between * price
+        value = pays - self._acting.between * price - torch.from_numpy(against)
         walk = value.masked_fill(~offered, -torch.inf).argmax(-1)
         return torch.where(most >= 0.0, walk, reject)
 
 
-def compiled_prices(actor: Any, comparing: Comparing = BY_COST) -> Prices | None:
+def compiled_prices(actor: Any, acting: Acting = BY_COST) -> Prices | None:
     """The network of ``actor`` as compiled code takes it, None where it is of a kind that torch has to run."""
     scores = scorer(actor) if isinstance(actor, QValueActor) else None
     network: nn.Module | None = None if scores is None else scores.module
@@ -287,4 +255,4 @@ def compiled_prices(actor: Any, comparing: Comparing = BY_COST) -> Prices | None
         return None
     shape: MenuShape = network.shape
     x = np.zeros(shape.state - FACTORS + shape.row, np.float32)
-    return Prices(price, x, network.form == "price", network.w_acc, network.w_cost, comparing)
+    return Prices(price, x, network.form == "price", network.w_acc, network.w_cost, acting)
