@@ -90,7 +90,7 @@ def counts_against(world, b, k, menu, row, rule, w_cost):
 
 
 @kernel
-def fill_rules(world, rows, menu, flat, shape, acting, w_cost, refusing, against):
+def fill_rules(world, rows, menu, flat, shape, acting, w_cost, counts):
     """What ``rule_for`` and ``counts_against`` say of the environments ``rows`` int64 [R].
 
     Args:
@@ -101,15 +101,15 @@ def fill_rules(world, rows, menu, flat, shape, acting, w_cost, refusing, against
         shape: ``MenuShape`` of that.
         acting: the settings.
         w_cost: weight of cost in a policy's values.
-        refusing: float64 [R], receives the share of the bid price that counts in refusing.
-        against: float64 [R, K], receives what counts against walks that are offered.
+        counts: float64 [R, K + 1], receives what counts against walks that are offered, and last the share of the bid
+            price that counts in refusing.
     """
     for r in range(rows.size):
         b = rows[r]
         rule = rule_for(world, b, flat[b], acting)
-        refusing[r] = rule.refusing
+        counts[r, shape.rows] = rule.refusing
         for k in range(shape.rows):
             if menu.mask[b, k]:
                 first = shape.state + k * shape.row
                 row = flat[b, first : first + shape.row]
-                against[r, k] = counts_against(world, b, k, menu, row, rule, w_cost)
+                counts[r, k] = counts_against(world, b, k, menu, row, rule, w_cost)

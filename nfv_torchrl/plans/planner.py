@@ -233,12 +233,13 @@ class MenuPlanner(Planner):
         menus, layout = self.menus, self.menus.layout
         offered = torch.from_numpy(menus.menu.mask[rows, :-1])
         walks = menus.flat[rows, layout.state :].astype(np.float64).reshape(len(rows), reject, -1)
-        refusing, against = np.zeros(len(rows)), np.zeros((len(rows), reject))
-        fill_rules(world, rows, menus.menu, menus.flat, layout, self._acting, network.w_cost, refusing, against)
+        counts = np.zeros((len(rows), reject + 1))
+        fill_rules(world, rows, menus.menu, menus.flat, layout, self._acting, network.w_cost, counts)
+        against, refusing = torch.from_numpy(counts[:, :-1]), torch.from_numpy(counts[:, -1:])
         pays = network.w_acc - network.w_cost * torch.from_numpy(walks[..., ROW.regret])
         price = pays - (values[:, :-1] - values[:, -1:])
-        most = (pays - torch.from_numpy(refusing)[:, None] * price).masked_fill(~offered, -torch.inf).amax(-1)
-        value = pays - self._acting.between * price - torch.from_numpy(against)
+        most = (pays - refusing * price).masked_fill(~offered, -torch.inf).amax(-1)
+        value = pays - self._acting.between * price - against
         walk = value.masked_fill(~offered, -torch.inf).argmax(-1)
         return torch.where(most >= 0.0, walk, reject)
 
