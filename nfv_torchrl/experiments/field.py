@@ -34,6 +34,8 @@ MEASURES = {
     "unproved": ",.1f",
 }
 """What a table shows of every method, where its runs have it; ``unproved`` only if it is not zero everywhere."""
+ROUNDING = 1e-9
+"""An interval that is a smaller share of its mean is none: it is what rounding leaves where all are the same."""
 Rows = list[dict[str, Any]]
 
 
@@ -220,8 +222,8 @@ def _shown(row: Mapping[str, Any] | None, form: str) -> str:
     if row is None or row["mean"] != row["mean"]:
         return UNDEFINED
     half = max(row["mean"] - row["ci_low"], row["ci_high"] - row["mean"])
-    # Runs that are played side by side share one measurement of time, which has no interval.
-    alone = half != half or (half == 0.0 and row["metric"] == "decisions_per_second")
+    # Runs that are played side by side share one measurement of time, which has no interval but that of rounding.
+    alone = half != half or (half <= ROUNDING * row["mean"] and row["metric"] == "decisions_per_second")
     return f"{row['mean']:{form}}" + ("" if alone else f" ± {half:{form.removeprefix('+')}}")
 
 

@@ -82,7 +82,7 @@ def matrices(folder, *demands):
         (folder / f"demandMatrix-{number}.xml").write_text(text)
 
 
-@pytest.mark.parametrize(("low", "shown"), [(1200.0, "1,200"), (1100.0, "1,200 ± 100")])
+@pytest.mark.parametrize(("low", "shown"), [(1200.0, "1,200"), (1200.0 - 1e-10, "1,200"), (1100.0, "1,200 ± 100")])
 def test_runs_that_were_timed_together_have_one_time_and_no_interval(low, shown):
     about = {"network": "geant", "load": 1.0}
     rows = [
