@@ -32,7 +32,7 @@ from nfv_torchrl.observations.menu_layout import ROW, ROW_SERVICE, SCALE, SERVIC
 from nfv_torchrl.planners import MyopicPlanner, PricedPlanner
 from nfv_torchrl.planners.priced import fill_prices
 from nfv_torchrl.plans import MenuPlanner, Menus, PlanEnv
-from nfv_torchrl.plans.acting import Acting, closest_of_others, level_at, refusing_at
+from nfv_torchrl.plans.acting import Acting, closest_of_others, fill_rules, level_at, refusing_at
 from nfv_torchrl.plans.planner import PER_STAY
 from nfv_torchrl.rewards import admission_regret
 from nfv_torchrl.search.cheapest import plan_cheapest, plan_within
@@ -531,6 +531,30 @@ def test_a_share_of_the_bid_prices_refuses_where_lifetimes_are_hidden_and_functi
         refused.append(int((record.reason == Reason.REJECTED_BY_POLICY).sum()))
     assert (refused[1] < refused[0]) is (not seen and not colocation)
     assert refused[1] <= refused[0]
+
+
+@pytest.mark.parametrize(("seen", "colocation"), [(False, False), (True, False), (False, True)])
+def test_the_share_that_refuses_a_request_is_that_of_the_other_services_room(seen, colocation):
+    """Request by request, from what the policy sees; the whole where lifetimes are seen or functions may share."""
+    scenario = worlds()[0].replace(observe_lifetime=seen, colocation=colocation, arrival_rate=8.0)
+    planner, simulator = MenuPlanner(), Simulator(scenario, 1)
+    acting = Acting(empty=0.0, full=0.0, between=0.0, reserve=0.0, refusing=0.2, refusing_full=1.0)
+    simulator.start(0, scenario.workload(3))
+    planner.prepare(simulator.world)
+    world, menus, row = simulator.world, planner.menus, np.zeros(1, np.int64)
+    plan, length, shares = np.zeros((1, world.rules.max_steps), np.int64), np.zeros(1, np.int64), []
+    while not world.env["done"][0]:
+        planner.plan_rows(world, row, plan, length)  # the cheapest walk
+        counts = np.zeros((1, len(menus.level) + 1))
+        fill_rules(world, row, menus.offers, acting, 1.0, counts)
+        rooms = menus.flat[0, len(STATE) + SERVICE.vm_room : menus.layout.state : len(SERVICE)].astype(np.float64)
+        own = simulator.tables.service[world.env["profile"][0]]
+        others = np.delete(np.expm1(rooms * SCALE), own)
+        expected = 1.0 if seen or colocation else 0.2 + 0.8 / (1 + others.min() / 4) ** 2
+        assert counts[0, -1] == pytest.approx(expected)
+        shares.append(counts[0, -1])
+        simulator.answer(plan, length)
+    assert bool(max(shares) > 2 * min(shares)) is (not seen and not colocation)
 
 
 def test_values_by_hand():

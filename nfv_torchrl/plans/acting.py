@@ -80,36 +80,35 @@ def rule_for(world, b, seen, acting):
 
 
 @part
-def counts_against(world, b, k, menu, row, rule, w_cost):
+def counts_against(b, k, menu, row, rule, w_cost):
     """What counts against walk k beside its true cost and bid price, in accepted requests; ``row`` describes it."""
     closer = 0.0
-    for service in range(world.tables.services):
+    for service in range((row.size - len(ROW)) // len(ROW_SERVICE)):
         closer += np.float64(row[len(ROW) + service * len(ROW_SERVICE) + ROW_SERVICE.closer_most])
     risen = rule.level * (menu.rise[b, k] - menu.rise[b, 0]) / max(menu.cost[b, 0], LEAST_COST)
     return rule.reserve * closer + w_cost * risen
 
 
 @kernel
-def fill_rules(world, rows, menu, flat, shape, acting, w_cost, counts):
+def fill_rules(world, rows, offers, acting, w_cost, counts):
     """What ``rule_for`` and ``counts_against`` say of the environments ``rows`` int64 [R].
 
     Args:
         world: the simulator's ``World``; only read.
         rows: environments.
-        menu: ``Menu``, made of what the world is now.
-        flat: what a policy sees of the menus, float32 [B, P].
-        shape: ``MenuShape`` of that.
+        offers: ``Offers``, made of what the world is now.
         acting: the settings.
         w_cost: weight of cost in a policy's values.
         counts: float64 [R, K + 1], receives what counts against walks that are offered, and last the share of the bid
             price that counts in refusing.
     """
+    menu, shape = offers.menu, offers.shape
     for r in range(rows.size):
         b = rows[r]
-        rule = rule_for(world, b, flat[b], acting)
+        rule = rule_for(world, b, offers.flat[b], acting)
         counts[r, shape.rows] = rule.refusing
         for k in range(shape.rows):
             if menu.mask[b, k]:
                 first = shape.state + k * shape.row
-                row = flat[b, first : first + shape.row]
-                counts[r, k] = counts_against(world, b, k, menu, row, rule, w_cost)
+                row = offers.flat[b, first : first + shape.row]
+                counts[r, k] = counts_against(b, k, menu, row, rule, w_cost)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,14 @@ from nfv_torchrl.search.labels import NO_LIMIT
 from nfv_torchrl.settings.values import AboveOne, Count, NotNegative, parse
 from nfv_torchrl.simulator.state import World
 from nfv_torchrl.simulator.tables import Tables
+
+
+class Offers(NamedTuple):
+    """The menus of B environments and what a policy sees of them, as compiled code takes them."""
+
+    menu: Menu
+    flat: np.ndarray  # float32 [B, P]
+    shape: MenuShape  # how that is laid out
 
 
 class Menus:
@@ -74,6 +83,11 @@ class Menus:
     def shape(self, world: World) -> MenuShape:
         """How ``flat`` is laid out where menus are made in ``world``."""
         return MenuShape.of(world.tables.services, len(self.level), describes_asked(world))
+
+    @property
+    def offers(self) -> Offers:
+        """What was made last, for compiled code."""
+        return Offers(self.menu, self.flat, self.layout)
 
     def prepare(self, world: World) -> None:
         """Allocate what the environments of ``world`` need, unless that is done already."""

@@ -52,10 +52,11 @@ class Prices(NamedTuple):
 
 
 @part
-def _choose_row(world, b, menu, flat, shape, prices):
+def _choose_row(world, b, offers, prices):
     """The walk of the highest value of environment b, or reject, the number after the last.
 
     What counts against walks tells which one a request gets, and not whether it is refused."""
+    menu, flat, shape = offers.menu, offers.flat, offers.shape
     net, rule = prices.price, rule_for(world, b, flat[b], prices.acting)
     best, highest, most = np.int64(shape.rows), -np.inf, -np.inf
     for i in range(FACTORS, shape.state):
@@ -64,41 +65,41 @@ def _choose_row(world, b, menu, flat, shape, prices):
         if not menu.mask[b, k]:
             continue
         first = shape.state + k * shape.row
+        row = flat[b, first : first + shape.row]
         for i in range(shape.row):
-            prices.x[shape.state - FACTORS + i] = flat[b, first + i]
+            prices.x[shape.state - FACTORS + i] = row[i]
         price = np.float64(score_row(net.weights, net.sizes, net.activation, prices.x, net.now, net.after))
         if prices.by_demand:
             price *= np.float64(flat[b, STATE.demand]) * np.float64(flat[b, STATE.stay])
-        pays = prices.w_acc - prices.w_cost * np.float64(flat[b, first + ROW.regret])
+        pays = prices.w_acc - prices.w_cost * np.float64(row[ROW.regret])
         most = max(most, pays - rule.refusing * price)
-        row = flat[b, first : first + shape.row]
-        value = pays - rule.between * price - counts_against(world, b, k, menu, row, rule, prices.w_cost)
+        value = pays - rule.between * price - counts_against(b, k, menu, row, rule, prices.w_cost)
         if value > highest:
             best, highest = np.int64(k), value
     return best if most >= 0.0 else np.int64(shape.rows)
 
 
 @kernel
-def choose_rows(world, rows, menu, flat, shape, prices, choices):
+def choose_rows(world, rows, offers, prices, choices):
     """Fill ``choices`` int64 [B] of the environments ``rows`` with the walk of the highest value, or with reject."""
     for r in range(rows.size):
-        choices[rows[r]] = _choose_row(world, rows[r], menu, flat, shape, prices)
+        choices[rows[r]] = _choose_row(world, rows[r], offers, prices)
 
 
 @kernel
-def play_priced_menus(world, b, own, view, menu, flat, shape, prices):
+def play_priced_menus(world, b, own, view, offers, prices):
     """Answer all requests of environment b by the walks of the highest value.
 
     Returns FINISHED, NO_ROOM if the simulator's pools run low, or OVERFLOW if ``own`` must grow (then call again).
     """
-    last = np.int64(shape.rows - 1)
+    menu, last = offers.menu, np.int64(offers.shape.rows - 1)
     while world.env[b].done == 0:
         if not has_room(world, b):
             return NO_ROOM
         if fill_menu(world, b, own, menu) == OVERFLOW:
             return OVERFLOW
-        describe_menu(world, b, view, menu, flat[b])
-        k = _choose_row(world, b, menu, flat, shape, prices)
+        describe_menu(world, b, view, menu, offers.flat[b])
+        k = _choose_row(world, b, offers, prices)
         play_plan(world, b, menu.steps[b, k] if k <= last else np.int64(0), menu.action[b, min(k, last)])
     return FINISHED
 
@@ -187,7 +188,7 @@ class MenuPlanner(Planner):
         if self._actor is None:
             choices[rows] = menu.mask[rows].argmax(-1)
         elif self._prices is not None:
-            choose_rows(world, rows, menu, self.menus.flat, self.menus.layout, self._prices, choices)
+            choose_rows(world, rows, self.menus.offers, self._prices, choices)
         elif rows.size:
             choices[rows] = self._ask(world, rows)
         walk = np.minimum(choices[rows], len(self.menus.level) - 1)
@@ -203,10 +204,7 @@ class MenuPlanner(Planner):
         """Answer all requests of environment b, whose horizon has begun, as ``plan_rows`` does, in compiled calls."""
         menus, tables = self.menus, simulator.tables
         while True:
-            shape, prices = menus.layout, self._prices
-            outcome = play_priced_menus(
-                simulator.world, b, menus.own, menus.view, menus.menu, menus.flat, shape, prices
-            )
+            outcome = play_priced_menus(simulator.world, b, menus.own, menus.view, menus.offers, self._prices)
             if outcome == FINISHED:
                 return
             if outcome == NO_ROOM:
@@ -230,11 +228,11 @@ class MenuPlanner(Planner):
         best, reject = values.argmax(-1), values.shape[-1] - 1
         if world.rules.colocation or self._acting == BY_COST or not isinstance(network, MenuNetwork):
             return best
-        menus, layout = self.menus, self.menus.layout
-        offered = torch.from_numpy(menus.menu.mask[rows, :-1])
-        walks = menus.flat[rows, layout.state :].astype(np.float64).reshape(len(rows), reject, -1)
+        offers = self.menus.offers
+        offered = torch.from_numpy(offers.menu.mask[rows, :-1])
+        walks = offers.flat[rows, offers.shape.state :].astype(np.float64).reshape(len(rows), reject, -1)
         counts = np.zeros((len(rows), reject + 1))
-        fill_rules(world, rows, menus.menu, menus.flat, layout, self._acting, network.w_cost, counts)
+        fill_rules(world, rows, offers, self._acting, network.w_cost, counts)
         against, refusing = torch.from_numpy(counts[:, :-1]), torch.from_numpy(counts[:, -1:])
         pays = network.w_acc - network.w_cost * torch.from_numpy(walks[..., ROW.regret])
         price = pays - (values[:, :-1] - values[:, -1:])
